@@ -23,11 +23,11 @@ from slipstitch.config.render import RenderSettings
 from slipstitch.images.blender import ClothScene
 from slipstitch.images.composition import compose, join
 from slipstitch.images.encoding import encode_srgb
-from slipstitch.images.packing import render_shadings, usable_trajectory
-from slipstitch.images.shots import shots
+from slipstitch.images.packing import render_shadings
 from slipstitch.images.surroundings import draw_surroundings, generator
 from slipstitch.images.textures import texture
 from slipstitch.images.verification import LEAST_PSNR_DB, LEAST_SSIM, psnr_db, ssim
+from slipstitch.images.view import View, usable_trajectory
 
 ROOT = Path(__file__).parents[1]
 SIMULATIONS = ("m03_f0400_r00", "m08_f1100_r00")
@@ -52,7 +52,8 @@ def compare(path: Path, floor: str, viewpoint: str, pixels: int, images: int) ->
     trajectory = usable_trajectory(path)
     settings = RenderSettings(pixels=pixels, frames="all", floors=[floor])
     rng = generator(SEED, path.stem, floor, viewpoint)
-    shot = shots(trajectory, viewpoint, settings, 1)[int(rng.integers(len(trajectory.frame)))]
+    view = View(path, "v00", viewpoint, settings, 1, SEED)
+    shot = view.shots(trajectory)[int(rng.integers(len(trajectory.frame)))]
     names = [str(name) for name in rng.choice(list(TEXTURES), images, replace=False)]
     surroundings = draw_surroundings(settings, SEED, f"{path.stem} {floor} {viewpoint}")
     ((_, shading, sight),) = render_shadings(trajectory, [shot], settings, surroundings)

@@ -8,16 +8,6 @@ SLIP_ANGLES = CONFIG.captures.angles or (
 )
 FILMS = [] if CONFIG.captures.table else CONFIG.captures.surrogate_ids()
 
-
-SURROGATE_CAMERA = (
-    "render.camera",
-    *(
-        f"render.bench_camera.{reach}"
-        for reach in ("yaw_deg", "pitch_deg", "distance", "calibrated_share")
-    ),
-)
-
-
 CALIBRATED_CAMERA = CONFIG.render.camera_of("calibrated") or []
 
 
@@ -44,7 +34,7 @@ rule surrogate_bench:
     input:
         camera=CALIBRATED_CAMERA,
     output:
-        expand("results/captures/bench/{file}", file=sorted(set(CONFIG.captures.camera_files()))),
+        "results/captures/bench/camera.json",
         "results/captures/bench/captures.csv",
         "results/captures/bench/slip_angles.csv",
     log:
@@ -56,7 +46,7 @@ rule surrogate_bench:
         mem_mb=1024,
         runtime=15,
     params:
-        *settings("seed", "captures", also=SURROGATE_CAMERA),
+        *settings("seed", "captures", also=("render.camera",)),
         catalogue=entries(
             viewpoints=["calibrated"],
             floors={pair.substrate for pair in CONFIG.captures.pairs},
@@ -88,7 +78,7 @@ rule surrogate_film:
             "seed",
             "simulation",
             "captures",
-            also=(*SURROGATE_CAMERA, "render.samples"),
+            also=("render.camera", "render.samples"),
         ),
         fabric=lambda wildcards: fabrics(pair_of(wildcards.film).material),
         catalogue=lambda wildcards: entries(

@@ -15,7 +15,6 @@ SHADING_SETTINGS = settings(
         "test_textures",
         "augmentation",
         "verified_images",
-        "threads",
     },
 )
 RENDER_SETTINGS = settings(
@@ -26,7 +25,6 @@ RENDER_SETTINGS = settings(
         "test_viewpoints",
         "test_viewpoint_videos",
         "verified_images",
-        "threads",
     },
 )
 
@@ -69,7 +67,7 @@ rule render_shading:
         "results/logs/render/shade_{simulation}_{viewpoint}.log",
     benchmark:
         "results/benchmarks/render/shade_{simulation}_{viewpoint}.tsv"
-    threads: CONFIG.render.threads
+    threads: 1
     resources:
         mem_mb=job_memory_mb("render"),
         runtime=job_runtime_min("render", CONFIG),
@@ -165,7 +163,7 @@ rule render_verification:
         "results/logs/render/verify.log",
     benchmark:
         "results/benchmarks/render/verify.tsv"
-    threads: CONFIG.render.threads
+    threads: 1
     resources:
         mem_mb=job_memory_mb("verify"),
         runtime=job_runtime_min("verify", CONFIG),

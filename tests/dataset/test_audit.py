@@ -30,9 +30,10 @@ from slipstitch.dataset.release.assembly import write_release
 from slipstitch.dataset.release.checksums import read_sums
 from slipstitch.dataset.release.manifest import sampled_rows
 from slipstitch.dataset.release.records import SIMULATIONS, Artefact
+from slipstitch.design import interpolation
 from slipstitch.design.grid import simulations
 from slipstitch.design.interpolation import interpolations
-from slipstitch.images import cloth_interpolation
+from slipstitch.images import view
 from slipstitch.images.surroundings import FLOORS
 from slipstitch.physics.fabric import fabric_names, load_fabric
 from slipstitch.physics.simulation import handed_out
@@ -395,11 +396,12 @@ def test_drawn_videos_and_a_second_training_set_are_followed(tmp_path):
 
 @pytest.mark.slow
 def test_cloths_between_simulations_are_followed_to_all_of_these(tmp_path, monkeypatch):
-    monkeypatch.setattr(cloth_interpolation, "STRAIN_MAX", 1.0)  # drawn cloths are no sheets
+    monkeypatch.setattr(view, "STRAIN_MAX", 1.0)  # drawn cloths are no sheets
+    monkeypatch.setattr(interpolation, "FROM_FRICTION", 0.0)
     render = CONFIG.render.model_dump() | {
         "viewpoints": ["bench_1", "bench_2"],
         "test_viewpoints": [],
-        "interpolation": {"share": 1.0, "fabric": 0.5, "from_friction": 0.0},
+        "interpolation": {"share": 1.0},
         "verified_images": 0,  # drawn images are not rectified
     }
     config = synthetic_chain.config(render=render, train={"splits": ["by_simulation"]})

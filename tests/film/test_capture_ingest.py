@@ -18,8 +18,7 @@ from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.ingest_videos import read_known
 from slipstitch.film.stage_video import read_stage_video
 from slipstitch.images.camera import pose
-from slipstitch.images.mean_cloth import stage_plane
-from slipstitch.images.rectification import rectify, source_pixels
+from slipstitch.images.rectification import rectify, source_pixels, stage_plane
 
 CONFIG = resolve_config(
     {"simulation": {"frames": 24}, "sample": {"frames": 6}, "render": {"pixels": 64}}

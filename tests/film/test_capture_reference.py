@@ -2,14 +2,16 @@
 
 import csv
 import json
+import os
+import subprocess
+import sys
 
 import numpy as np
 import pytest
 
 from slipstitch.base.errors import BadInput
 from slipstitch.cli.main import main
-from slipstitch.film.reference.angles import SlipAngles
-from slipstitch.film.reference.estimate import estimate
+from slipstitch.film.slip_angles import SlipAngles, estimate
 
 HEADER = "material,substrate,position,orientation,repeat,angle_deg,bench_error_deg"
 
@@ -134,13 +136,16 @@ def rows_of(substrate, mu, rng):
                 yield f"denim,{substrate},{position},{orientation},{repeat},{angle:.2f},0.2"
 
 
-def test_tables_and_picture_are_written(tmp_path, capsys):
+def test_tables_and_picture_are_written_where_home_is_not(tmp_path):
     rng = np.random.default_rng(0)
     table = write(tmp_path, *rows_of("glass", 0.25, rng), *rows_of("steel", 0.45, rng))
     out, details, picture = (tmp_path / name for name in ("mu.csv", "mu.json", "mu.svg"))
     words = [str(table), "--out", str(out), "--json", str(details), "--picture", str(picture)]
-    assert main(["capture", "reference", *words]) == 0
-    said = capsys.readouterr().out.splitlines()
+    command = [sys.executable, "-m", "slipstitch", "capture", "reference", *words]
+    home = os.environ | {"HOME": "/proc/nowhere", "XDG_CONFIG_HOME": "", "XDG_CACHE_HOME": ""}
+    done = subprocess.run(command, capture_output=True, text=True, env=home)
+    assert (done.returncode, done.stderr) == (0, "")
+    said = done.stdout.splitlines()
     assert said[0].startswith("denim on glass: 0.2")
     assert "; 3 positions " in said[0]
     rows = list(csv.DictReader(out.open()))

@@ -18,8 +18,8 @@ from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.config.train import TrainSettings
 from slipstitch.dataset.dataset import write_dataset
-from slipstitch.film.captures.evaluation import write_captures_evaluation
-from slipstitch.film.captures.scores import capture_scores, distance, subsets
+from slipstitch.film.captures_evaluation import write_captures_evaluation
+from slipstitch.film.captures_scores import capture_scores, distance, subsets
 from slipstitch.images.camera import pose
 from slipstitch.learning.evaluation import paper
 from slipstitch.learning.evaluation.trained import Trained

@@ -1,6 +1,7 @@
 """Films as other people's cameras and programs write them: read, or refused with the cause."""
 
 import functools
+import re
 import struct
 from dataclasses import replace
 
@@ -12,6 +13,7 @@ from support import analytic_stage as stage
 from slipstitch.base.errors import BadInput
 from slipstitch.config import resolve_config
 from slipstitch.config.catalogue import VIEWPOINTS
+from slipstitch.film import recording
 from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.recording import Recording
 from slipstitch.film.stage_video import read_stage_video
@@ -61,21 +63,60 @@ def test_slow_motion_is_named_with_the_rate_that_helps(tmp_path, rate_hz, slowed
 
 
 @pytest.mark.default_cases(1)
-@pytest.mark.parametrize("rate_hz", [12.5, 25.0])
-def test_timestamps_that_start_again_are_refused_and_a_stated_rate_is_read(tmp_path, rate_hz):
+@pytest.mark.parametrize(
+    ("rate_hz", "again_s", "message"),
+    [
+        (12.5, None, r"its timestamps step back by 7\.\d+ s after 7\."),
+        (25.0, None, r"its timestamps step back by 7\.\d+ s after 7\."),
+        (25.0, 0.5, r"its timestamps step back by 0\.4\d s after 7\."),
+    ],
+)
+def test_joined_parts_whose_times_overlap_are_refused_and_a_stated_rate_is_read(
+    tmp_path, rate_hz, again_s, message
+):
     times_s, images = film_at(rate_hz)
     half = len(times_s) * 2 // 3
-    parts = [slice(None, half), slice(half, None)]
     whole = b""
-    for number, part in enumerate(parts):
+    for number, part in enumerate([slice(None, half), slice(half, None)]):
         path = tmp_path / f"{number}.ts"
-        stage.write_video(path, images[part], times_s[part] - times_s[part][0], bf="0")
+        own_s = times_s[part] - (times_s[part][0] if again_s is None else number * again_s)
+        stage.write_video(path, images[part], own_s, bf="0")
         whole += path.read_bytes()
     (tmp_path / "joined.ts").write_bytes(whole)
-    assert "its timestamps start again after 7." in refused(tmp_path / "joined.ts")
+    assert re.search(message, refused(tmp_path / "joined.ts"))
     read = read_stage_video(tmp_path / "joined.ts", LENS, SCHEDULE, frame_rate_hz=rate_hz)
     assert read.start.time_s == pytest.approx(START_S, abs=0.05)
     assert read.time_s == pytest.approx(SCHEDULE.time_s, abs=1 / rate_hz)
+
+
+@pytest.mark.parametrize(
+    ("rate_hz", "clock", "message"),
+    [
+        (12.5, lambda s: np.round(s, 1), "have the timestamp of the frame before: the clock is"),
+        (25.0, lambda s: np.round(s, 1), "have the timestamp of the frame before: the clock is"),
+        (25.0, lambda s: np.round(s), "have the timestamp of the frame before: the clock is"),
+        (12.5, lambda s: 1e3 * s, "0.0125 frames a second by its timestamps, as in milliseconds"),
+    ],
+)
+def test_a_clock_in_another_unit_or_too_coarse_is_named(
+    tmp_path, monkeypatch, rate_hz, clock, message
+):
+    """A container can hold such times, a writer that encodes them cannot: they are read so."""
+    times_s, images = film_at(rate_hz)
+    path = stage.write_video(tmp_path / "a.mp4", images, times_s, bf="0")
+    decoded = recording._frames
+
+    def frames(video):
+        unit_s = float(video.streams.video[0].time_base)
+        for frame in decoded(video):
+            frame.pts = round(clock(frame.pts * unit_s) / unit_s)
+            yield frame
+
+    monkeypatch.setattr(recording, "_frames", frames)
+    monkeypatch.setattr(Recording, "listed", None)
+    assert message in refused(path)
+    read = read_stage_video(path, LENS, SCHEDULE, frame_rate_hz=rate_hz)
+    assert read.start.time_s == pytest.approx(START_S, abs=0.05)
 
 
 def tagged_by_180(path):

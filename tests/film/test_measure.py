@@ -21,8 +21,8 @@ from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.design.stage_path import StagePath
 from slipstitch.film.measure.measurement_files import MeasuredPair, names_of
-from slipstitch.film.measure.measurement_page import page
 from slipstitch.film.measure.measuring_bench import _half_width, measuring_bench
+from slipstitch.film.measure.pages import measurement_page
 from slipstitch.images.camera import pose
 from slipstitch.learning.instrument.alarm import Alarm
 from slipstitch.learning.instrument.distribution import friction_grid, probabilities_on_grid
@@ -104,9 +104,9 @@ def test_the_page_shows_where_the_instrument_sees_the_cloth(bench):
         np.array([[0.0, 0.0, PATH.start_height_m - 0.05]])
     )
     np.testing.assert_allclose(result.keypoints_px[0], np.repeat(expected, 9, axis=0), atol=0.2)
-    content = page(result)
+    content = measurement_page(result)
     assert "Rings: where the instrument sees nine points" in content
-    assert content != page(replace(result, keypoints_px=None))
+    assert content != measurement_page(replace(result, keypoints_px=None))
 
 
 def test_the_error_bar_of_a_distribution_at_the_end_of_the_grid_is_not_zero():

@@ -9,7 +9,7 @@ from support import analytic_stage as stage
 from support import example_film
 
 from slipstitch.cli.main import main
-from slipstitch.film.measure.example import EXAMPLE_CAMERA
+from slipstitch.film.measure import EXAMPLE_CAMERA
 from slipstitch.film.measure.measurement_files import MeasuredPair
 from slipstitch.film.measure.measuring_bench import MeasuringBench
 

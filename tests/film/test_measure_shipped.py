@@ -10,8 +10,7 @@ import pytest
 from slipstitch.base.provenance import file_digest
 from slipstitch.cli.main import main
 from slipstitch.config import load_config
-from slipstitch.film.measure import SHIPPED
-from slipstitch.film.measure.example import EXAMPLE_FOLDER
+from slipstitch.film.measure import EXAMPLE_FOLDER, SHIPPED
 from slipstitch.learning.instrument.measuring import load_instrument
 
 ROOT = Path(__file__).parents[2]

@@ -39,7 +39,7 @@ def test_the_pose_is_told_from_rotation_and_translation():
 
 def test_every_simulation_has_a_camera_of_its_own_so_that_none_tells_a_fabric():
     def drawn(simulation, viewpoint):
-        return draw_bench_camera(FAMILY, 0, simulation, viewpoint)
+        return draw_bench_camera(0, simulation, viewpoint)
 
     first = drawn("m05_f0300_r00", "bench_1")
     assert first == drawn("m05_f0300_r00", "bench_1")
@@ -54,7 +54,7 @@ def test_every_simulation_has_a_camera_of_its_own_so_that_none_tells_a_fabric():
 
 
 def test_cameras_fill_the_family_and_a_third_stands_as_calibrated():
-    cameras = [draw_bench_camera(FAMILY, seed, "m00_f0100_r00", "bench_1") for seed in range(600)]
+    cameras = [draw_bench_camera(seed, "m00_f0100_r00", "bench_1") for seed in range(600)]
     yaw = np.array([camera.yaw_deg for camera in cameras])
     pitch = np.array([camera.pitch_deg for camera in cameras])
     assert np.mean(yaw == 0) == pytest.approx(1 / 3, abs=0.06)
@@ -117,8 +117,8 @@ def shard(tmp_path_factory):
     motion = synthetic_cloth.motion(6, n=11, frame_rate_hz=0.1)
     write_trajectory(folder / "m05_f0300_r00.parquet", Trajectory(**motion))
 
-    def render(viewpoint, errors=EXACT, **family):
-        render = {"pixels": 48, "textures": ["dots"], "bench_camera": family}
+    def render(viewpoint, **constants):
+        render = {"pixels": 48, "textures": ["dots"]}
         render["viewpoints"] = ["calibrated", "bench_1"]
         config = {"render": render, "sample": {"frames": 3}, "simulation": {"frames": 6}}
         config["train"] = {"splits": ["by_simulation"]}
@@ -127,7 +127,7 @@ def shard(tmp_path_factory):
         files = ["--trajectory", str(folder / "m05_f0300_r00.parquet"), "--out", str(out)]
         words = ["--config", str(folder / "config.json"), "--viewpoint", viewpoint]
         with pytest.MonkeyPatch.context() as patch:
-            for name, value in errors.items():
+            for name, value in (EXACT | constants).items():
                 patch.setattr(bench_camera, name, value)
             assert main(["render", *words, *files]) == 0
         rows = pq.read_table(out).to_pylist()
@@ -145,11 +145,11 @@ def _difference(some, others):
 
 def test_rectified_images_are_those_of_the_calibrated_viewpoint(shard):
     _, calibrated = shard("calibrated")
-    metadata, same_pose = shard("bench_1", calibrated_share=1)
+    metadata, same_pose = shard("bench_1", CALIBRATED_SHARE=1)
     assert metadata["pose"] == pytest.approx(dict.fromkeys(metadata["pose"], 0.0), abs=1e-6)
     assert metadata["camera"]["pixels"] == 72
     assert all(image.shape == (48, 48, 3) for image in same_pose.values())
-    metadata, turned = shard("bench_1", calibrated_share=0)
+    metadata, turned = shard("bench_1", CALIBRATED_SHARE=0)
     assert abs(metadata["pose"]["yaw_deg"]) > 1
     # Resampled only; seen from elsewhere, what lies off the stage plane is shifted.
     smoothed = {key: cv2.GaussianBlur(image, (0, 0), 0.4) for key, image in calibrated.items()}
@@ -160,7 +160,7 @@ def test_rectified_images_are_those_of_the_calibrated_viewpoint(shard):
 
 @pytest.fixture(scope="module")
 def exact(shard):
-    return shard("bench_1", calibrated_share=1)[1]
+    return shard("bench_1", CALIBRATED_SHARE=1)[1]
 
 
 @pytest.mark.parametrize(
@@ -172,6 +172,6 @@ def exact(shard):
     ],
 )
 def test_a_wrong_calibration_shifts_the_image(shard, exact, error, constant, size, drawn):
-    metadata, wrong = shard("bench_1", EXACT | {constant: size}, calibrated_share=1)
+    metadata, wrong = shard("bench_1", **{constant: size}, CALIBRATED_SHARE=1)
     assert np.linalg.norm(metadata["camera"]["bench"][error]) > drawn
     assert _difference(exact, wrong) > 3

@@ -93,16 +93,6 @@ def test_equal_seeds_give_equal_light_and_others_do_not(flat):
     assert (first != other).any()
 
 
-def test_light_does_not_depend_on_the_number_of_threads(flat):
-    _, positions, _ = flat
-    _, uv, faces = synthetic_cloth.grid(9)
-    images = [
-        ClothScene(faces, uv, threads=threads).render(positions, view(32), samples=2)[0]
-        for threads in (1, 2)
-    ]
-    np.testing.assert_array_equal(*images)
-
-
 def test_cloth_without_albedo_is_black_and_more_albedo_is_brighter(flat):
     _, positions, _ = flat
     _, uv, faces = synthetic_cloth.grid(9)

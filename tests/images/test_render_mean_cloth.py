@@ -9,7 +9,7 @@ from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.design.stage_path import SIDE_M, StagePath
 from slipstitch.images.calibrated_view import cloth_room, crop_to
 from slipstitch.images.camera import pose
-from slipstitch.images.mean_cloth import LAG, MeanCloth, cloth_surface, lags_m, stage_plane
+from slipstitch.images.rectification import LAG, MeanCloth, cloth_surface, lags_m, stage_plane
 
 CALIBRATED = VIEWPOINTS["calibrated"]
 HEIGHT_M = 0.15

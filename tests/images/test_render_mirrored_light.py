@@ -7,7 +7,7 @@ from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.images.blender import ClothScene
 from slipstitch.images.calibrated_view import crop_to
 from slipstitch.images.camera import pose
-from slipstitch.images.mirrored_light import glint_share
+from slipstitch.images.reflection import glint_share
 from slipstitch.images.surroundings import FLOOR_M, Surroundings
 
 PIXELS = 24

@@ -17,10 +17,12 @@ from slipstitch.cli.main import main
 from slipstitch.config import resolve_config
 from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.config.render import RenderSettings
+from slipstitch.design import interpolation
 from slipstitch.design.grid import simulations
 from slipstitch.design.interpolation import Interpolation, interpolations
 from slipstitch.design.sampled_frames import sampled_frames
-from slipstitch.images import cloth_interpolation, image_shards
+from slipstitch.images import image_shards
+from slipstitch.images import view as view_module
 from slipstitch.images.camera import pose
 from slipstitch.images.camera_file import write_camera_file
 from slipstitch.images.view import View
@@ -180,15 +182,13 @@ def test_a_camera_file_that_is_none_is_one_clear_line(work, capsys):
     assert "nowhere.json: no such file" in capsys.readouterr().err
 
 
-def test_a_fixed_crop_is_the_same_for_every_frame(work):
-    over = work / "fixed.yaml"
-    over.write_text("render: {crop: fixed, frames: all, pixels: 16}\n")
-    assert render(work, "--config", str(over), "--viewpoint", "v00", out="fixed.parquet") == 0
-    frames = read_metadata(work / "fixed.parquet")["camera"]["frames"]
-    assert len(frames) == FRAMES
-    assert len({json.dumps(crop) for crop in frames.values()}) == 1
-    follow = read_metadata(work / "v00.parquet")["camera"]["frames"]
-    assert len({json.dumps(crop) for crop in follow.values()}) > 1
+def test_every_frame_can_be_rendered_each_in_a_crop_of_its_own(work):
+    over = work / "all.yaml"
+    over.write_text("render: {frames: all, pixels: 16}\n")
+    assert render(work, "--config", str(over), "--viewpoint", "v00", out="all.parquet") == 0
+    crops = read_metadata(work / "all.parquet")["camera"]["frames"].values()
+    assert len(crops) == FRAMES
+    assert len({json.dumps(crop) for crop in crops}) > 1
 
 
 def test_interrupted_work_leaves_nothing(work, monkeypatch):
@@ -323,7 +323,8 @@ def test_an_impossible_preview_is_one_clear_line(work, capsys, monkeypatch, word
 
 def test_a_film_of_a_cloth_between_two_shows_their_weighted_mean(tmp_path, monkeypatch):
     """As a film of the mean trajectory, to one level; its label is the coefficient between."""
-    monkeypatch.setattr(cloth_interpolation, "STRAIN_MAX", 1.0)  # a drawn cloth is no sheet
+    monkeypatch.setattr(view_module, "STRAIN_MAX", 1.0)  # a drawn cloth is no sheet
+    monkeypatch.setattr(interpolation, "FROM_FRICTION", 0.0)
     settings = {
         "grid": {
             "materials": ["gray-interlock", "ivory-rib-knit"],
@@ -334,7 +335,7 @@ def test_a_film_of_a_cloth_between_two_shows_their_weighted_mean(tmp_path, monke
             "pixels": 32,
             "textures": ["dots"],
             "viewpoints": ["bench_1"],
-            "interpolation": {"share": 1.0, "from_friction": 0.0},
+            "interpolation": {"share": 1.0},
         },
         "sample": {"frames": SAMPLED, "validation_fraction": 0.0, "test_fraction": 0.1},
         "simulation": {"frames": FRAMES},
@@ -354,7 +355,7 @@ def test_a_film_of_a_cloth_between_two_shows_their_weighted_mean(tmp_path, monke
     assert render(tmp_path, "--viewpoint", "v00", trajectory=f"{simulation}.parquet") == 0
     metadata = read_metadata(tmp_path / "out.parquet")
     assert metadata["interpolation"] == {"friction": shown.friction, "weights": shown.weights}
-    assert metadata["interpolated_frames"] == {"mixed": 0, "of_one_fabric": FRAMES, "simulated": 0}
+    assert metadata["interpolated_frames"] == FRAMES
     assert set(metadata["provenance"]["inputs"]) == {f"{name}.parquet" for name in shown.weights}
 
     mean = sum(

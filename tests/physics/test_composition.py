@@ -16,10 +16,10 @@ from slipstitch.images.composition import compose, join
 from slipstitch.images.encoding import encode_png, encode_srgb
 from slipstitch.images.packing import render_shadings
 from slipstitch.images.shading import separate
-from slipstitch.images.shots import shots
 from slipstitch.images.surroundings import MATTE, Surroundings
 from slipstitch.images.textures import texture
 from slipstitch.images.verification import LEAST_PSNR_DB, LEAST_SSIM, psnr_db, ssim
+from slipstitch.images.view import View
 from slipstitch.physics.simulation.trajectory import Trajectory
 
 # Between the floors that the reflection was tuned on, and at the ends.
@@ -34,6 +34,10 @@ REFLECTIVE = {
     "aluminium-pet": Surroundings("aluminium-pet", 0.04, 0.7, 0.28),
     "smooth-glass": Surroundings("smooth-glass", 0.15, 0.045, 0.06),
 }
+
+
+def shots(trajectory, viewpoint, settings, sampled):
+    return View("one.parquet", "v00", viewpoint, settings, sampled, 0).shots(trajectory)
 
 
 def compare(pixels, viewpoint, frames, textures, surroundings=MATTE):

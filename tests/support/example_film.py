@@ -5,7 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from slipstitch.film.measure.example import EXAMPLE_CAMERA, EXAMPLE_VIDEO
+from slipstitch.film.measure import EXAMPLE_CAMERA, EXAMPLE_VIDEO
 from slipstitch.film.recording import Recording
 from slipstitch.images.camera import Camera
 from slipstitch.images.camera_file import read_camera_file

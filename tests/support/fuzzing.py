@@ -41,8 +41,7 @@ from slipstitch.design.sampled_frames import sampled_frames
 from slipstitch.film import board_views
 from slipstitch.film.captures_table import read_captures, read_references
 from slipstitch.film.frame_schedule import Schedule
-from slipstitch.film.reference.angles import read_angles
-from slipstitch.film.reference.estimate import estimate
+from slipstitch.film.slip_angles import estimate, read_angles
 from slipstitch.film.stage_video import read_stage_video
 from slipstitch.images.camera import pose
 from slipstitch.images.camera_file import DISTORTION, FORMAT, read_camera_file

@@ -23,7 +23,6 @@ from slipstitch.design.grid import Simulation, simulations, texture_ids, viewpoi
 from slipstitch.design.stage_path import StagePath
 from slipstitch.images.encoding import encode_png
 from slipstitch.images.image_shards import keypoints_record
-from slipstitch.images.shots import camera_record
 from slipstitch.images.surroundings import draw_surroundings
 from slipstitch.images.verification import (
     LEAST_PSNR_DB,
@@ -33,7 +32,7 @@ from slipstitch.images.verification import (
     psnr_db,
     ssim,
 )
-from slipstitch.images.view import View
+from slipstitch.images.view import View, camera_record
 from slipstitch.physics.friction_law.extended_model import read_extended_model
 from slipstitch.physics.simulation.convergence import measured_convergence
 from slipstitch.physics.simulation.drop_and_drag import DropAndDrag, draw_perturbation
@@ -182,7 +181,7 @@ def _cameras(config: Config, view: str, trajectory_path: Path, one: Simulation) 
     filmed = View.of(config, trajectory_path, view)
     wanted = filmed.shots(on_path)
     return {
-        "camera": camera_record(wanted, config.render, filmed.bench_camera),
+        "camera": camera_record(wanted, filmed.bench_camera),
         "pose": filmed.rectifier(on_path).pose(wanted[0].camera),
         "marked_points_m": keypoints_record(filmed.trajectory(), wanted),
     }

@@ -19,7 +19,7 @@ from slipstitch.config import Config, resolve_config
 from slipstitch.config.calibrate import BASE, KEYS
 from slipstitch.dataset.dataset import write_dataset
 from slipstitch.design.grid import simulations
-from slipstitch.film.captures.scores import capture_metrics
+from slipstitch.film.captures_scores import capture_metrics
 from slipstitch.learning.evaluation.metrics import entry, mean_over_seeds, spread_over_seeds
 from slipstitch.physics.calibration.calibration import (
     calibrate,

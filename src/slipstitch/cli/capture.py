@@ -87,7 +87,7 @@ def capture() -> None:
 def camera(arguments: Arguments) -> None:
     """Calibrate, write the camera file and the picture, print the result in one line."""
     from slipstitch.film.calibration_files import calibrate_to_file, import_to_file
-    from slipstitch.film.stage_pose import FloorPlace
+    from slipstitch.film.camera_calibration import FloorPlace
 
     for name, most in (("place_mm", 10_000), ("angle_deg", 360), ("thickness_mm", 1000)):
         value = getattr(arguments, name)
@@ -225,7 +225,7 @@ def ingest(arguments: Arguments) -> None:
 @option("--picture", type=PICTURE, help="PNG or SVG")
 def reference(arguments: Arguments) -> None:
     """Estimate, write, print one line per pair."""
-    from slipstitch.film.reference.reference_files import reference_to_files
+    from slipstitch.film.reference_files import reference_to_files
 
     for pair in reference_to_files(
         arguments.table, arguments.out, arguments.json, arguments.picture
@@ -268,14 +268,13 @@ def surrogate(arguments: Arguments) -> None:
     if mode == "bench":
         if arguments.out:
             raise BadInput("--out requires --film")
-        from slipstitch.film.surrogate_bench import write_bench
+        from slipstitch.film.surrogates import write_bench
 
         write_bench(config, arguments.bench)
         print(f"{arguments.bench}: {len(config.captures.surrogate_ids())} surrogate captures")
         return
     from slipstitch.base.progress import progress
-    from slipstitch.film.surrogate_bench import find_film
-    from slipstitch.film.surrogate_film import make_film
+    from slipstitch.film.surrogates import find_film, make_film
 
     if not arguments.out:
         raise BadInput("--film requires --out FILE.mp4")

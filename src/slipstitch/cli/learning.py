@@ -230,7 +230,7 @@ def evaluate(arguments: Arguments) -> None:
 
 def _captures(config, arguments: Arguments, trained) -> None:
     """Evaluate on captures; print one line per model and subset."""
-    from slipstitch.film.captures.evaluation import write_captures_evaluation
+    from slipstitch.film.captures_evaluation import write_captures_evaluation
     from slipstitch.learning.evaluation.text_table import capture_lines
 
     refuse(arguments, ("details", "update"), "--captures")

@@ -61,7 +61,7 @@ def measure(arguments: Arguments) -> int:
     Exit code 3 if a video raised the alarm, 2 if one of several could not be measured.
     """
     from slipstitch.base.provenance import start_clock
-    from slipstitch.film.measure.example import EXAMPLE_CAMERA, EXAMPLE_VIDEO, known_of_example
+    from slipstitch.film.measure import EXAMPLE_CAMERA, EXAMPLE_VIDEO, known_of_example
     from slipstitch.film.measure.measurement_files import measured_pair, write_measurements
     from slipstitch.film.measure.measuring_bench import measuring_bench
 

@@ -77,11 +77,6 @@ class CaptureSettings(Section):
     later_every: int = Field(
         4, ge=1, le=6, description="surrogates: afterwards one frame in this many is recorded"
     )
-    own_cameras: bool = Field(
-        False,
-        description="surrogates: every video has a camera of its own, of the family of "
-        "render.bench_camera, in place of one turned by 2 degrees",
-    )
 
     @model_validator(mode="after")
     def _pairs_differ(self) -> "CaptureSettings":
@@ -89,10 +84,6 @@ class CaptureSettings(Section):
         if len(set(names)) != len(names):
             raise ValueError("pairs: duplicate fabric on the same substrate")
         return self
-
-    def camera_files(self) -> list[str]:
-        """Camera file of each video, in the order of `surrogate_ids`."""
-        return [f"{i}.json" if self.own_cameras else "camera.json" for i in self.surrogate_ids()]
 
     def surrogate_ids(self) -> list[str]:
         """Ids of the videos, c00_r01 ... as in a captures table."""

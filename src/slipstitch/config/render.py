@@ -52,16 +52,8 @@ class AugmentationSettings(Section):
 
 
 class BenchCameraSettings(Section):
-    """Cameras of the viewpoints ``bench_1`` ... : poses beside the calibrated one, and errors."""
+    """Cameras of the viewpoints ``bench_1`` ... (`slipstitch.images.bench_camera`)."""
 
-    yaw_deg: float = Field(15.0, ge=0, le=30, description="largest rotation about the vertical")
-    pitch_deg: float = Field(8.0, ge=0, le=15, description="largest change of the elevation")
-    distance: float = Field(
-        0.2, ge=0, lt=0.6, description="largest relative change of the distance"
-    )
-    calibrated_share: float = Field(
-        1 / 3, ge=0, le=1, description="share of cameras in the calibrated pose"
-    )
     oversampling: float = Field(
         1.5,
         ge=1,
@@ -79,15 +71,6 @@ class InterpolationSettings(Section):
         le=1,
         description="share of the films of bench_1 ... that show, where their simulation trains, "
         "a cloth interpolated between simulations that train; 0: none",
-    )
-    from_friction: float = Field(
-        0.4,
-        ge=0,
-        description="smallest friction coefficient that is interpolated from: below, a cloth is "
-        "pushed ahead of its clamps, and does not change smoothly",
-    )
-    fabric: float = Field(
-        0.0, ge=0, le=0.5, description="largest weight of a second fabric in an interpolated cloth"
     )
 
 
@@ -128,11 +111,6 @@ class RenderSettings(Section):
     frames: Literal["sampled", "all"] = Field(
         "sampled", description="render only the frames that the sample stage uses, or every frame"
     )
-    crop: Literal["follow", "fixed"] = Field(
-        "follow",
-        description="crop of the fixed camera's image: it follows the known stage path, or "
-        "covers the whole path",
-    )
     floors: list[str] = Field(
         ["matte"],
         min_length=1,
@@ -159,7 +137,6 @@ class RenderSettings(Section):
         le=100000,
         description="images of the dataset, drawn at random, that are also rendered directly",
     )
-    threads: int = Field(1, ge=1, le=256, description="threads of Blender")
 
     @field_validator("textures", "test_textures")
     @classmethod

@@ -3,10 +3,8 @@
 Where it is dragged behind its clamps, a cloth changes smoothly with the friction coefficient: the
 weighted mean of two trajectories is nearly the trajectory of a coefficient between theirs. The
 weights follow the tail of a dragged flexible strip, which theory gives; weights linear in friction
-put the mean five times as far off (`benchmarks/interpolation.py`). Below about 0.4 a cloth is
-pushed ahead, or falls to this side or the other, and nothing is smooth. A second fabric mixed in
-makes a fabric between two. Only films that train show such cloths, and only simulations that train
-are their parents: what is tested and calibrated with is simulated.
+put the mean five times as far off. Only films that train show such cloths, and only simulations
+that train are their parents: what is tested and calibrated with is simulated.
 """
 
 from __future__ import annotations
@@ -30,6 +28,10 @@ if TYPE_CHECKING:
     from slipstitch.config.model import Config
 
 
+# Below, a cloth is pushed ahead, or falls to this side or the other, and nothing is smooth.
+FROM_FRICTION = 0.4
+
+
 @dataclass(frozen=True)
 class Interpolation:
     """The cloth of a film: a weighted mean of simulated ones.
@@ -39,7 +41,7 @@ class Interpolation:
     friction : float
         Coefficient that the film shows.
     weights : dict
-        Simulation id -> weight; they add up to 1. The largest fabric is the film's own.
+        Simulation id -> weight; they add up to 1; all are of the film's fabric.
     """
 
     friction: float
@@ -50,7 +52,7 @@ def interpolations(config: Config) -> dict[tuple[str, str], Interpolation]:
     """Ids of simulation and viewpoint -> the cloth of that film, for films that are interpolated.
 
     Of every camera of the family ``bench_1`` ... and every simulation that trains, from
-    `from_friction` on, a share. The coefficient is drawn between the middles of the intervals to
+    `FROM_FRICTION` on, a share. The coefficient is drawn between the middles of the intervals to
     the next coefficients at which the simulation's fabric trains, so that the films of a fabric
     cover all from its first to its last.
 
@@ -72,12 +74,10 @@ def interpolations(config: Config) -> dict[tuple[str, str], Interpolation]:
     sides = sides_of_simulations(config)
     trained: dict[tuple[str, str], list[Simulation]] = defaultdict(list)
     for simulation in simulations(config):
-        dragged = simulation.friction >= settings.from_friction
-        if sides[simulation.id] == "train" and dragged:
+        if sides[simulation.id] == "train" and simulation.friction >= FROM_FRICTION:
             trained[simulation.replicate_id, simulation.material].append(simulation)
     result = {}
-    for (replicate, material), row in trained.items():
-        others = [trained[key] for key in trained if key[0] == replicate and key[1] != material]
+    for row in trained.values():
         for place, simulation in enumerate(row):
             for identity, name in family:
                 draw = _drawn(config.seed, simulation.id, name)
@@ -86,16 +86,7 @@ def interpolations(config: Config) -> dict[tuple[str, str], Interpolation]:
                 near = [one.friction for one in row[max(place - 1, 0) : place + 2]]
                 low, high = ((simulation.friction + end) / 2 for end in (min(near), max(near)))
                 friction = round(low + next(draw) * (high - low), 4)
-                share = next(draw) * settings.fabric
                 weights = between(row, friction, height_m)
-                reached = [
-                    other for other in others if other[0].friction <= friction <= other[-1].friction
-                ]
-                if share and reached:
-                    other = reached[int(next(draw) * len(reached))]
-                    weights = {one: (1 - share) * part for one, part in weights.items()}
-                    mixed_in = between(other, friction, height_m)
-                    weights |= {one: share * part for one, part in mixed_in.items()}
                 result[simulation.id, identity] = Interpolation(friction, weights)
     return result
 

@@ -10,8 +10,7 @@ import numpy as np
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import image_bytes
-from slipstitch.film.board import Board, Sighting
-from slipstitch.film.board_diagnosis import check_size, what_is_seen
+from slipstitch.film.board import Board, Sighting, check_size, what_is_seen
 from slipstitch.film.recording import Recording
 
 VIDEOS = (".avi", ".m4v", ".mkv", ".mov", ".mp4", ".webm")

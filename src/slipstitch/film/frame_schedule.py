@@ -42,7 +42,6 @@ class Schedule(CalibratedView):
         return cls(
             viewpoint_pose(viewpoint, render),
             render.pixels,
-            render.crop == "follow",
             path.position_m,
             np.arange(int(simulation.recorded_s * rate_hz) + 1) / rate_hz,
             (SIDE_M, SIDE_M),

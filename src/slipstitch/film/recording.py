@@ -2,6 +2,7 @@
 
 import functools
 import itertools
+import math
 import os
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
@@ -13,9 +14,13 @@ import numpy as np
 from slipstitch.base.errors import BadInput
 
 _FIRST_BYTES = 4096
-# Timestamps that step back by more than this are those of another recording. Packets come in the
-# order in which they are decoded, and frames are shown a few later at most.
-_STEP_BACK_S = 1.0
+# Packets come in the order in which they are decoded; frames are shown this much later at most.
+_SHOWN_LATER_S = 1.0
+# Frames come in the order in which they are shown: a larger step back is of another recording. So
+# large a share of frames at the time of another, among so many, is of a clock coarser than they.
+_STEP_BACK_S, _EQUAL_SHARE, _FEWEST_FRAMES = 0.2, 0.1, 25
+#: How a user gives a frame rate: to `measure`, and in the table of `capture ingest`.
+GIVE_RATE = "--frame-rate-hz, or frame_rate_hz in a captures table"
 
 
 @dataclass(frozen=True)
@@ -115,12 +120,15 @@ class Recording:
     @functools.cached_property
     def listed(self) -> FrameIndex | None:
         """The frames, known without decoding them; None if the container does not list them."""
-        stamps, keys = [], []
+        stamps, keys, decoded_at = [], [], -math.inf
         with self._open() as video:
             unit_s = _unit_s(_stream(video))
             for packet in _packets(video):
                 if packet.pts is None or packet.is_corrupt or packet.is_discard:
                     return None
+                if packet.dts is not None and packet.dts < decoded_at:
+                    return None  # of another recording
+                decoded_at = decoded_at if packet.dts is None else packet.dts
                 stamps.append(packet.pts)
                 keys.append(packet.is_keyframe)
         stamp = np.array(stamps, np.int64)
@@ -128,7 +136,7 @@ class Recording:
         order = np.argsort(stamp)
         if not len(stamp) or not unit_s or (np.diff(stamp[order]) == 0).any():
             return None
-        if back_s > _STEP_BACK_S or not keys[order[0]]:
+        if back_s > _SHOWN_LATER_S or not keys[order[0]]:
             return None
         time_s = (stamp[order] - stamp[order[0]]) * unit_s
         if self.frame_rate_hz:
@@ -147,9 +155,11 @@ class Recording:
         Raises
         ------
         BadInput
-            If the file gives no times, or times that start again, and no frame rate was stated.
+            If the file gives no times, times that start again, or too coarse ones, and no frame
+            rate was stated.
         """
         first = last = None
+        equal = 0
         with self._open() as video:
             unit_s = _unit_s(_stream(video))
             for number, frame in enumerate(_frames(video)):
@@ -160,18 +170,21 @@ class Recording:
                 first = time_s if first is None else first
                 if last is not None and time_s < last - _STEP_BACK_S:
                     raise BadInput(
-                        f"{self.path}: its timestamps start again after {last - first:.1f} s, as "
-                        "where parts were joined: join them with new timestamps, or give the frame "
-                        "rate of the camera (--frame-rate-hz, or frame_rate_hz in a captures table)"
+                        f"{self.path}: its timestamps step back by {last - time_s:.2f} s after "
+                        f"{last - first:.1f} s, as where parts were joined that start again or "
+                        f"overlap: join them with new timestamps, or give the "
+                        f"frame rate of the camera ({GIVE_RATE})"
+                    )
+                equal += time_s == last
+                if number >= _FEWEST_FRAMES and equal > _EQUAL_SHARE * number:
+                    raise BadInput(
+                        f"{self.path}: {equal} of the first {number + 1} frames have the timestamp "
+                        f"of the frame before: the clock is coarser than the frames; give the "
+                        f"frame rate of the camera ({GIVE_RATE})"
                     )
                 if (last is None or time_s > last) and self._is_whole(frame):
                     last = time_s
                     yield Moment(time_s - first, frame)
-                elif number == 25 and last == first:
-                    raise BadInput(
-                        f"{self.path}: its frames have no timestamps; give the frame rate of the "
-                        "camera"
-                    )
 
     def _is_whole(self, frame: av.VideoFrame) -> bool:
         return (frame.width, frame.height) == self.size_px

@@ -12,7 +12,10 @@ import cv2
 import numpy as np
 from scipy.optimize import least_squares
 
+from slipstitch.base.errors import BadInput
 from slipstitch.design.stage_path import SIDE_M, StagePath
+from slipstitch.film.frame_schedule import Schedule
+from slipstitch.film.recording import GIVE_RATE
 from slipstitch.film.stage_start import vertex_of_parabola
 from slipstitch.images.camera import Camera
 from slipstitch.images.rectification import bounds, in_stage_plane
@@ -49,6 +52,13 @@ _FEWEST_PLACES = 12
 _STILL_SHARE, _LAG, _THUMBNAIL_PX = 0.15, 4, 48
 # An edge this near to the fitted path is on it.
 _ON_PATH_M = 0.004
+# A film's clock: corrected from here on if it is told that closely, noted, refused; and how far the
+# stage may stand from the path at any time.
+_CORRECTED_RATE, _NOTED_RATE, _REFUSED_RATE = 0.001, 0.005, 0.02
+_CERTAIN = 3.0
+_NOTED_OFFSET_M, _REFUSED_OFFSET_M = 0.004, 0.008
+#: A shorter part of the drag does not tell a clock, and is not spoilt by a wrong one.
+SHORTEST_DRAG_S = 15.0
 
 
 @dataclass(frozen=True)
@@ -301,3 +311,53 @@ def _parameters(time_s, place_m, back, rate: float, path: StagePath) -> np.ndarr
 
     scales = [1e-3, 0.01, 1e-3, 1e-3]
     return least_squares(left_over, [rate, 0, 0, 0], x_scale=scales, loss="soft_l1").x
+
+
+def checked_rate(path, time_base: TimeBase | None) -> float:
+    """Return the stage's speed in the video's time, to select frames by; BadInput if wrong."""
+    if time_base is None:
+        return 1.0
+    off = time_base.rate - 1
+    if abs(off) > _REFUSED_RATE:
+        raise BadInput(
+            f"{path}: the stage moves {time_base.rate:.4f} ± {time_base.rate_sd:.4f} times as "
+            f"fast as in the protocol; at most {100 * _REFUSED_RATE:g} % deviation is allowed; "
+            f"if the frame rate is wrong, give the correct one ({GIVE_RATE})"
+        )
+    worst_m = time_base.worst_offset_m()
+    if worst_m > _REFUSED_OFFSET_M:
+        raise BadInput(
+            f"{path}: for 10 s the stage is {1e3 * worst_m:.0f} mm from its path in the "
+            f"protocol; at most {1e3 * _REFUSED_OFFSET_M:g} mm are allowed: was the video cut, "
+            "or did the stage stop?"
+        )
+    certain = abs(off) > max(_CERTAIN * time_base.rate_sd, _CORRECTED_RATE)
+    return time_base.rate if certain else 1.0
+
+
+def is_followed(schedule: Schedule) -> bool:
+    """Whether a schedule shows enough of the drag to tell a film's clock."""
+    return bool(schedule.time_s[-1] >= schedule.path.drop_duration_s + SHORTEST_DRAG_S)
+
+
+def clock_notes(time_base: TimeBase | None, schedule: Schedule, corrected: bool) -> list[str]:
+    """What a person should know of a film's clock."""
+    if time_base is None:
+        if not is_followed(schedule):
+            return []
+        return [
+            "the clock of the video could not be verified: the cloth's upper edge was detected "
+            "in too few frames; a wrong frame rate makes the friction wrong"
+        ]
+    notes = []
+    # As far off as it may well be.
+    if abs(time_base.rate - 1) + time_base.rate_sd >= _NOTED_RATE:
+        notes.append(
+            f"the stage moves {time_base.rate:.4f} ± {time_base.rate_sd:.4f} times as fast as in "
+            f"the protocol; the frame times were {'' if corrected else 'not '}corrected for it: "
+            "check the frame rate"
+        )
+    worst_m = time_base.worst_offset_m()
+    if worst_m > _NOTED_OFFSET_M:
+        notes.append(f"for 10 s the stage is {1e3 * worst_m:.1f} mm from its path in the protocol")
+    return notes

@@ -6,16 +6,21 @@ sunk far enough, the instant of the start is fitted to all displacements around,
 the time between two frames.
 """
 
+import contextlib
+import functools
 from collections import deque
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from itertools import islice
 
 import cv2
 import numpy as np
 from scipy.optimize import least_squares
 
+from slipstitch.base.errors import BadInput
 from slipstitch.design.stage_path import StagePath
-from slipstitch.film.recording import Moment
+from slipstitch.film.frame_schedule import Schedule
+from slipstitch.film.recording import GIVE_RATE, Moment, Recording
 from slipstitch.images.camera import Camera
 from slipstitch.images.rectification import in_stage_plane
 
@@ -41,6 +46,17 @@ _LEAST_LIKENESS = 0.5
 _LARGEST_RESIDUAL_M = 0.0008
 _SPEED_RANGE = (0.3, 3.0)
 _SPEED_TOLERANCE = 0.08
+# A start is found to 0.03 s. In the example that ships, one stated this much too early or too late
+# moves friction by its error bar or little more, one 0.45 s too early by four times as much.
+_NEAR_START_S = 0.2
+# By how much slow motion is slowed down.
+_SLOWED = (2, 4, 8, 16)
+# A frame is a repeat of the one before if it differs by less than this share of what frames differ
+# by; so many of them, in so many frames, are no accident.
+_REPEAT_SHARE, _LEAST_REPEATS, _FRAMES_COMPARED = 0.2, 0.12, 120
+# Frames a second of a camera that films a bench.
+_SLOWEST_HZ, _FASTEST_HZ = 1.0, 2000.0
+_GIVE_START = "--start-s, or start_s in a captures table"
 
 
 @dataclass(frozen=True)
@@ -247,3 +263,124 @@ def _fit(
     # At the right speed the instant is told more sharply.
     fixed = least_squares(lambda one: left_over_mm(np.array([one[0], 1.0])), [start_s], **robust)
     return StageStart(float(fixed.x[0]), True, speed, residual_m)
+
+
+def found_start(recording: Recording, lens: Camera, schedule: Schedule) -> StageStart:
+    """Return the start of the stage's motion; BadInput, with the likeliest cause, if none."""
+    start = find_start(recording.moments(), lens, schedule.crop(0.0), schedule.path)
+    if start is not None and start.speed_is_right:
+        return start
+    _check_stated_rate(recording, lens, schedule)
+    slowed, from_s, is_turned = _other_start(recording, lens, schedule)
+    if is_turned:
+        tag = recording.rotation_deg
+        said = f" (its orientation tag says {tag} degrees)" if tag else ""
+        raise BadInput(
+            f"{recording.path}: shows the bench upside down{said}: film, and calibrate the camera, "
+            "in the same orientation"
+        )
+    if start is not None and not slowed:
+        from_s = start.time_s
+    elif not slowed:
+        by_its_times_hz, _ = _rate_and_repeats(recording, 0.0)
+        if by_its_times_hz and not _SLOWEST_HZ <= by_its_times_hz <= _FASTEST_HZ:
+            raise BadInput(
+                f"{recording.path}: {by_its_times_hz:.3g} frames a second by its timestamps, as in "
+                f"milliseconds taken for seconds: give the frame rate of the camera ({GIVE_RATE})"
+            )
+        raise BadInput(
+            f"{recording.path}: no start of the stage's motion found: the cloth must hang still "
+            f"for 2 s, then descend as in the protocol; if it does, give the start ({_GIVE_START})"
+        )
+    speed = 1 / slowed if slowed else (start and start.speed) or 0.0
+    rate_hz, share = _rate_and_repeats(recording, from_s)
+    if share >= _LEAST_REPEATS:
+        why = (
+            f"; {100 * share:.0f} % of the frames repeat the one before, as where a film was "
+            "brought to a constant frame rate: give the film as the camera wrote it"
+        )
+    elif slowed and recording.frame_rate_hz is None:
+        why = (
+            f", as in slow motion, filmed at {slowed * rate_hz:.4g} and saved at {rate_hz:.4g} "
+            f"frames a second: give the rate at which it was filmed ({GIVE_RATE})"
+        )
+    else:
+        why = f"; if the frame rate is wrong, give the correct one ({GIVE_RATE})"
+    raise BadInput(
+        f"{recording.path}: the stage descends {speed:.2f} times as fast as in the protocol{why}"
+    )
+
+
+def _check_stated_rate(recording: Recording, lens: Camera, schedule: Schedule) -> None:
+    """Refuse a stated frame rate where the film's own times are right."""
+    if recording.frame_rate_hz is None:
+        return
+    by_itself = Recording(recording.path)
+    own = None
+    with contextlib.suppress(BadInput):  # its times are none, or start again
+        own = find_start(by_itself.moments(), lens, schedule.crop(0.0), schedule.path)
+    if own is not None and own.speed_is_right:
+        _, share = _rate_and_repeats(by_itself, own.time_s)
+        why = ", in which frames are repeated" if share >= _LEAST_REPEATS else ""
+        raise BadInput(
+            f"{recording.path}: at {recording.frame_rate_hz:g} frames a second the stage does not "
+            f"move as in the protocol; by the film's own times{why}, it does: leave the frame rate "
+            "out"
+        )
+
+
+def _other_start(recording: Recording, lens: Camera, schedule: Schedule) -> tuple[int, float, bool]:
+    """How many times slower a start is seen (0: not), when, and whether upside down."""
+    crop, path = schedule.crop(0.0), schedule.path
+    slowed = {factor: Search(lens, crop, path) for factor in _SLOWED}
+    turned = Search(lens, crop, path)
+    for moment in recording.moments():
+        for factor, search in slowed.items():
+            is_over = search.add(moment.time_s / factor, moment.image)
+            if is_over and search.start and search.start.speed_is_right:
+                return factor, factor * search.start.time_s, False
+        is_over = turned.add(moment.time_s, functools.partial(_upside_down, moment))
+        if is_over and turned.start and turned.start.speed_is_right:
+            return 0, turned.start.time_s, True
+    return 0, 0.0, False
+
+
+def _upside_down(moment: Moment) -> np.ndarray:
+    return cv2.rotate(moment.image(), cv2.ROTATE_180)
+
+
+def _rate_and_repeats(recording: Recording, from_s: float) -> tuple[float, float]:
+    """Frame rate from a time on, and share of frames that show what the one before shows."""
+    later = (moment for moment in recording.moments() if moment.time_s >= from_s)
+    times_s, small = [], []
+    for moment in islice(later, _FRAMES_COMPARED):
+        times_s.append(moment.time_s)
+        image = cv2.resize(moment.image(), (96, 72), interpolation=cv2.INTER_AREA)
+        small.append(image.astype(np.float32))
+    if len(small) < 2:
+        return 0.0, 0.0
+    differ = np.abs(np.diff(small, axis=0)).mean(axis=(1, 2, 3))
+    repeated = differ < _REPEAT_SHARE * np.percentile(differ, 90)
+    return 1 / float(np.median(np.diff(times_s))), float(repeated.mean())
+
+
+def start_is_seen(recording: Recording, lens: Camera, schedule: Schedule, start_s: float) -> bool:
+    """Return whether the stage starts where it is stated to; BadInput if only elsewhere.
+
+    A film may show another start before the one that counts.
+    """
+    moments, seen_s = recording.moments(), []
+    while found := find_start(moments, lens, schedule.crop(0.0), schedule.path):
+        if found.speed_is_right:
+            seen_s.append(found.time_s)
+        if found.time_s > start_s:
+            break
+    if not seen_s:
+        return False
+    nearest_s = min(seen_s, key=lambda time_s: abs(time_s - start_s))
+    if abs(nearest_s - start_s) > _NEAR_START_S:
+        raise BadInput(
+            f"{recording.path}: the stage is seen to start at {nearest_s:.2f} s, but {start_s:.2f} "
+            f"s is stated; at most {_NEAR_START_S:g} s difference is allowed: leave the start out"
+        )
+    return True

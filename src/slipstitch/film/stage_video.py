@@ -9,18 +9,22 @@ import numpy as np
 from slipstitch.base.errors import BadInput
 from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.recording import FrameIndex, Recording
-from slipstitch.film.stage_clock import StageFollower, TimeBase
-from slipstitch.film.stage_start import StageStart
-from slipstitch.film.start_and_clock import (
+from slipstitch.film.stage_clock import (
+    StageFollower,
+    TimeBase,
     checked_rate,
     clock_notes,
-    found_start,
     is_followed,
-    start_is_seen,
 )
+from slipstitch.film.stage_start import StageStart, found_start, start_is_seen
 from slipstitch.images.camera import AIM_M, Camera, relative_pose
-from slipstitch.images.mean_cloth import cloth_surface
-from slipstitch.images.rectification import fine_source_pixels, in_image, rectify, source_pixels
+from slipstitch.images.rectification import (
+    cloth_surface,
+    fine_source_pixels,
+    in_image,
+    rectify,
+    source_pixels,
+)
 
 # A frame this near to the wanted moment is as good as it (the stage moves 2.5 mm); one farther away
 # than the second number is of another moment.

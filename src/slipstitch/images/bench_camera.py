@@ -14,15 +14,15 @@ from typing import Any
 import cv2
 import numpy as np
 
-from slipstitch.config.render import RenderSettings
 from slipstitch.images.calibrated_view import CalibratedView
 from slipstitch.images.camera import AIM_M, POSE, Camera, relative_pose
-from slipstitch.images.mean_cloth import cloth_surface, stage_plane
-from slipstitch.images.rectification import fine_source_pixels, resample
+from slipstitch.images.rectification import cloth_surface, fine_source_pixels, resample, stage_plane
 from slipstitch.images.surroundings import drawn_by, generator
 
-# How far a bench's camera is off besides what the configuration says, and how exactly it is known.
-ROLL_MAX_DEG = 2.0
+# How far a bench's camera is off at most, and how exactly it is known. One in three is not off.
+YAW_MAX_DEG, PITCH_MAX_DEG, ROLL_MAX_DEG = 15.0, 8.0, 2.0
+DISTANCE_MAX = 0.2  # relative
+CALIBRATED_SHARE = 1 / 3
 AIM_MAX_M = 0.01  # of the point that it is aimed at, along each axis
 ROTATION_SD_DEG = 0.05  # errors of a good calibration, each axis
 POSITION_SD_M = 0.001
@@ -99,15 +99,11 @@ class BenchCamera:
         )
 
 
-def draw_bench_camera(
-    settings: RenderSettings, seed: int, simulation: str, viewpoint: str
-) -> BenchCamera:
+def draw_bench_camera(seed: int, simulation: str, viewpoint: str) -> BenchCamera:
     """The camera of a simulation's videos from a member of the family.
 
     Parameters
     ----------
-    settings : RenderSettings
-        Its ``bench_camera`` says how far it may stand off.
     seed : int
         The configuration's.
     simulation : str
@@ -115,18 +111,17 @@ def draw_bench_camera(
     viewpoint : str
         Name of the member.
     """
-    family = settings.bench_camera
     rng = generator(seed, drawn_by(simulation, viewpoint), viewpoint, "bench camera")
     yaw, pitch, roll, distance = rng.uniform(-1, 1, 4)
     aim = rng.uniform(-1, 1, 3) * AIM_MAX_M
-    if rng.uniform() < family.calibrated_share:
+    if rng.uniform() < CALIBRATED_SHARE:
         yaw = pitch = roll = distance = 0.0
         aim = np.zeros(3)
     return BenchCamera(
-        yaw_deg=float(yaw * family.yaw_deg),
-        pitch_deg=float(pitch * family.pitch_deg),
+        yaw_deg=float(yaw * YAW_MAX_DEG),
+        pitch_deg=float(pitch * PITCH_MAX_DEG),
         roll_deg=float(roll * ROLL_MAX_DEG),
-        distance=float(1 + distance * family.distance),
+        distance=float(1 + distance * DISTANCE_MAX),
         aim_m=_triple(aim),
         rotation_error_deg=_triple(rng.normal(size=3) * ROTATION_SD_DEG),
         position_error_m=_triple(rng.normal(size=3) * POSITION_SD_M),

@@ -85,18 +85,9 @@ class ClothScene:
         Texture coordinates in [0, 1].
     surroundings : Surroundings
         The floor's look and the lamp's place.
-    threads : int
-        Threads of Cycles.
     """
 
-    def __init__(
-        self,
-        faces: np.ndarray,
-        uv: np.ndarray,
-        surroundings: Surroundings = MATTE,
-        *,
-        threads: int = 1,
-    ):
+    def __init__(self, faces: np.ndarray, uv: np.ndarray, surroundings: Surroundings = MATTE):
         with _silent_stdout():
             try:
                 import bpy
@@ -109,7 +100,7 @@ class ClothScene:
         self._bpy = bpy
         self._scene = bpy.context.scene
         self._surroundings = surroundings
-        self._configure(threads)
+        self._configure()
         self._make_floor()
         self._make_lamp()
         self._make_cloth(np.asarray(faces), np.asarray(uv, dtype=np.float64))
@@ -121,11 +112,11 @@ class ClothScene:
     def _link(self, thing) -> None:
         self._scene.collection.objects.link(thing)
 
-    def _configure(self, threads: int) -> None:
+    def _configure(self) -> None:
         scene = self._scene
         scene.render.engine = "CYCLES"
         scene.render.threads_mode = "FIXED"
-        scene.render.threads = threads
+        scene.render.threads = 1  # the rules run several processes
         # Keeping data between frames saves 2 ms of each; a mesh shown as it was before costs more.
         scene.render.use_persistent_data = False
         scene.render.use_compositing = False

@@ -16,7 +16,7 @@ from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.config.render import RenderSettings
 from slipstitch.images.camera import Camera, Pose, pose, turned
 from slipstitch.images.camera_file import read_camera_file
-from slipstitch.images.mean_cloth import MeanCloth, lags_m
+from slipstitch.images.rectification import MeanCloth, lags_m
 from slipstitch.physics.simulation.trajectory import Trajectory
 
 # Where the cloth can be, in units of its length: this far from under the clamps, at this share of
@@ -92,8 +92,6 @@ class CalibratedView:
         Of the fixed camera.
     pixels : int
         Side of an image.
-    follows : bool
-        Whether the crop follows the stage.
     stage : callable
         Time(s) -> places x and z of the clamps (m).
     simulated_s : ndarray (n,)
@@ -104,7 +102,6 @@ class CalibratedView:
 
     pose: Pose
     pixels: int
-    follows: bool
     stage: Callable[[float | np.ndarray], tuple[np.ndarray, np.ndarray]]
     simulated_s: np.ndarray
     size_m: tuple[float, float]
@@ -122,13 +119,12 @@ class CalibratedView:
             )
             return x_m, z_m
 
-        follows = settings.crop == "follow"
         fixed, size_m = viewpoint_pose(viewpoint, settings), cloth_size(trajectory)
-        return cls(fixed, settings.pixels, follows, stage, trajectory.time_s, size_m)
+        return cls(fixed, settings.pixels, stage, trajectory.time_s, size_m)
 
     def room(self, time_s: float) -> np.ndarray:
         """Corners (N, 3) of what the image shows at a time."""
-        return cloth_room(*self.stage(time_s if self.follows else self.simulated_s), *self.size_m)
+        return cloth_room(*self.stage(time_s), *self.size_m)
 
     def crop(self, time_s: float) -> Camera:
         """The image's camera at a time."""

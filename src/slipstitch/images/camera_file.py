@@ -1,18 +1,26 @@
-"""Camera files: a real camera's lens and position at the stage, as written by calibration."""
+"""Camera files: a real camera's lens and place at the stage, which give a film its scale.
 
+`slipstitch capture camera` writes them. Lenses calibrated elsewhere are read too: OpenCV's YAML,
+XML and JSON, ROS camera_info, what calibrateCamera returns. All say the same in other words: a
+matrix of three by three, distortion coefficients, the size of the image.
+"""
+
+import contextlib
 import json
 import math
 import os
+import re
+import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import yaml
 
 from slipstitch.base.errors import BadInput
-from slipstitch.base.provenance import reading, write_json
+from slipstitch.base.provenance import write_json
 from slipstitch.images.camera import AIM_M, Camera, Lens
-from slipstitch.images.foreign_camera import check_principal_point, looks_foreign
 
 FORMAT = "slipstitch camera 1"
 CONVENTION = (
@@ -22,8 +30,22 @@ CONVENTION = (
 )
 #: Terms of the distortion in OpenCV's order.
 DISTORTION = ("k1", "k2", "p1", "p2", "k3")
-# From the middle of the track: at it no direction is defined, and a bench stands in a room.
-_NEAREST_M, _FARTHEST_M = 0.1, 100.0
+_LARGEST_FILE = 1_000_000
+# From the middle of the track, 30 cm long, and above the floor. A square of the board given in the
+# wrong unit puts the camera at a tenth or ten times of its distance.
+_NEAREST_M, _FARTHEST_M, _LOWEST_M = 0.2, 5.0, 0.05
+# A principal point this far from the middle, as a share of the image, is not one.
+_OFF_CENTRE = 0.15
+
+# What other programs call it: in lower case, letters only.
+_MATRIX = ("cameramatrix", "intrinsicmatrix", "intrinsics", "matrix", "mtx", "k", "m")
+_DISTORTION = (
+    "distortioncoefficients", "distortioncoeffs", "distcoeffs", "distcoefs", "distortion", "dist",
+    "d",
+)  # fmt: skip
+_SIZE = ("imagesize", "imagesizepx", "imageshape", "resolution", "size")
+_WIDTH, _HEIGHT = ("imagewidth", "width", "w"), ("imageheight", "height", "h")
+_NEEDED = "camera_matrix (3x3), distortion_coefficients, image_width and image_height"
 
 
 def lens_record(lens: Lens) -> dict[str, Any]:
@@ -62,53 +84,189 @@ def read_camera_file(path: str | os.PathLike) -> Camera:
         If the file is missing, no camera file, or does not say where the camera stands, or a place
         that no camera of a bench has.
     """
-    if looks_foreign(path):
+    content = _content(path)
+    if content.get("format") != FORMAT and _value(content, _MATRIX) is not None:
         raise BadInput(
             f"{path}: a camera calibration of another program, which does not say where the camera "
             "stands: slipstitch capture camera --from FILE --stage-view IMAGE ... makes a camera "
             "file of it"
         )
-    with reading(path, "JSON file"):
-        content = json.loads(Path(path).read_text(encoding="utf-8"))
-    if not isinstance(content, dict) or content.get("format") != FORMAT:
+    if content.get("format") != FORMAT:
         raise BadInput(f"{path}: not a camera file: its format is not {FORMAT!r}")
     if content.get("rotation") is None or content.get("translation_m") is None:
         raise BadInput(
             f"{path}: does not contain the position of the camera; calibrate it with --stage-view"
         )
-    size = _numbers(path, content, "image_size_px", (2,))
-    focal = _numbers(path, content, "focal_px", (2,))
-    middle = _numbers(path, content, "principal_point_px", (2,))
-    rotation = _numbers(path, content, "rotation", (3, 3))
+    size, focal, middle = (
+        _numbers(path, content.get(key), key, (2,))
+        for key in ("image_size_px", "focal_px", "principal_point_px")
+    )
+    rotation = _numbers(path, content["rotation"], "rotation", (3, 3))
+    translation_m = _numbers(path, content["translation_m"], "translation_m", (3,))
     if (size < 1).any() or (size % 1 != 0).any() or (focal <= 0).any():
         raise BadInput(f"{path}: image_size_px or focal_px is not positive")
-    check_principal_point(path, (int(size[0]), int(size[1])), middle)
+    size_px = (int(size[0]), int(size[1]))
+    _check_principal_point(path, size_px, middle)
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0:
         raise BadInput(f"{path}: rotation is not a rotation matrix")
     terms = content.get("distortion")
     if not isinstance(terms, dict) or set(terms) != set(DISTORTION):
         raise BadInput(f"{path}: distortion must contain {', '.join(DISTORTION)}")
+    distortion = _numbers(path, [terms[name] for name in DISTORTION], "distortion", (5,))
+    with np.errstate(over="ignore", invalid="ignore"):
+        check_position(f"{path}: translation_m", -rotation.T @ translation_m)
     matrix = np.array([[focal[0], 0, middle[0]], [0, focal[1], middle[1]], [0, 0, 1.0]])
-    translation = _numbers(path, content, "translation_m", (3,))
+    return Camera(rotation, translation_m, matrix, *size_px, distortion)
+
+
+def check_position(where: str, position_m: np.ndarray, hint: str = "") -> None:
+    """Refuse a position (3,), in the stage's coordinates, that no camera of a bench has."""
+    height_m = float(position_m[2])
     # hypot, because the square of a large number would overflow
-    distance_m = math.hypot(*(rotation @ AIM_M + translation))
-    if not _NEAREST_M <= distance_m <= _FARTHEST_M:
+    distance_m = math.hypot(*(position_m - AIM_M))
+    if height_m <= 0:
+        raise BadInput(f"{where}: the camera would be below the floor; is the image mirrored?")
+    if not (_NEAREST_M <= distance_m <= _FARTHEST_M and height_m >= _LOWEST_M):
         raise BadInput(
-            f"{path}: translation_m: the camera is {distance_m:g} m from the middle of the track; "
-            f"must be {_NEAREST_M:g} to {_FARTHEST_M:g} m"
+            f"{where}: the camera would stand {distance_m:.2g} m from the middle of the track and "
+            f"{100 * height_m:.2g} cm above the floor; must be {_NEAREST_M:g} to {_FARTHEST_M:g} m "
+            f"and at least {100 * _LOWEST_M:g} cm{hint}"
         )
-    ordered = {"distortion": [terms[name] for name in DISTORTION]}
-    distortion = _numbers(path, ordered, "distortion", (5,))
-    return Camera(rotation, translation, matrix, int(size[0]), int(size[1]), distortion)
 
 
-def _numbers(path, content: dict, key: str, shape: tuple[int, ...]) -> np.ndarray:
+def read_foreign_lens(path: str | os.PathLike) -> Lens:
+    """Return the lens in a calibration that another program wrote.
+
+    Parameters
+    ----------
+    path : path
+        YAML or XML of OpenCV's FileStorage, ROS camera_info (a file or a printed message), or JSON
+        with the arrays that calibrateCamera returns and the size of the image.
+
+    Raises
+    ------
+    BadInput
+        If the file is none of these, or has a lens of another model.
+    """
+    content = _content(path)
+    matrix = _foreign_numbers(path, content, _MATRIX, "camera_matrix")
+    if matrix.size != 9:
+        raise BadInput(f"{path}: camera_matrix must be 3x3; needed are {_NEEDED}")
+    matrix = matrix.reshape(3, 3)
+    (focal_x, skew, _), (below, focal_y, _), last = matrix
+    if not (focal_x > 0 and focal_y > 0 and below == 0 and np.array_equal(last, [0, 0, 1])):
+        raise BadInput(f"{path}: camera_matrix is not [fx 0 cx; 0 fy cy; 0 0 1]")
+    if abs(skew) > 1e-6 * focal_x:
+        raise BadInput(f"{path}: camera_matrix has a skew of {skew:g}; must be 0")
+    size = _size(path, content)
+    _check_principal_point(path, size, matrix[:2, 2])
+    return Lens(size, matrix, _distortion(path, content))
+
+
+def _check_principal_point(
+    path: str | os.PathLike, size_px: tuple[int, int], point_px: np.ndarray
+) -> None:
+    """Refuse a principal point, or a size of the image, whose x and y are swapped."""
+    size = np.array(size_px, dtype=np.float64)
+    off, swapped = (np.abs(one / size - 0.5).max() for one in (point_px, point_px[::-1]))
+    if off > _OFF_CENTRE and swapped < min(_OFF_CENTRE, off / 2):
+        x, y = point_px
+        raise BadInput(
+            f"{path}: the principal point is ({x:g}, {y:g}) in an image of {size_px[0]}x"
+            f"{size_px[1]} pixels: x and y, or width and height, are swapped"
+        )
+
+
+def _content(path: str | os.PathLike) -> Mapping[str, Any]:
+    """What stands in a calibration of any program, with or without a byte order mark."""
+    file = Path(path)
+    if not file.is_file():
+        raise BadInput(f"{path}: {'is a folder' if file.is_dir() else 'no such file'}")
+    if file.stat().st_size > _LARGEST_FILE:
+        raise BadInput(f"{path}: not a camera calibration")
+    text = file.read_bytes().decode("utf-8-sig", errors="replace").strip()
+    content = None
+    with contextlib.suppress(ValueError, yaml.YAMLError, ElementTree.ParseError, RecursionError):
+        if text.startswith("<"):
+            content = _of_xml(text)
+        elif text.startswith("{"):
+            content = json.loads(text)
+        else:
+            # FileStorage writes a directive and tags that are none of YAML's.
+            plain = re.sub(r"^%YAML.*$", "", text, flags=re.M).replace("!!opencv-matrix", "")
+            content = next(iter(yaml.safe_load_all(plain)), None)
+    if not isinstance(content, Mapping):
+        raise BadInput(
+            f"{path}: damaged, or no camera calibration (YAML, XML, JSON); needed are {_NEEDED}"
+        )
+    return content
+
+
+def _of_xml(text: str) -> dict[str, Any]:
+    if "<!DOCTYPE" in text or "<!ENTITY" in text:
+        raise ValueError("declarations are not read")
+    found: dict[str, Any] = {}
+    for node in ElementTree.fromstring(text):
+        data = node.find("data")
+        found[node.tag] = ((node.text if data is None else data.text) or "").split()
+    return found
+
+
+def _numbers(
+    path: str | os.PathLike, value: Any, title: str, shape: tuple[int, ...] | None = None
+) -> np.ndarray:
+    """An array of a file, of a shape, or else flat."""
+    if value is None:
+        raise BadInput(f"{path}: no {title!r}")
     try:
-        array = np.array(content[key], dtype=np.float64)
-    except KeyError:
-        raise BadInput(f"{path}: no {key!r}") from None
+        array = np.array(value, dtype=np.float64)
     except (TypeError, ValueError):
-        raise BadInput(f"{path}: {key} must contain numbers") from None
-    if array.shape != shape or not np.isfinite(array).all():
-        raise BadInput(f"{path}: {key} must contain {'x'.join(map(str, shape))} finite numbers")
-    return array
+        raise BadInput(f"{path}: {title} must contain numbers") from None
+    if not np.isfinite(array).all() or shape not in (None, array.shape):
+        size = f"{'x'.join(map(str, shape))} " if shape else ""
+        raise BadInput(f"{path}: {title} must contain {size}finite numbers")
+    return array if shape else array.ravel()
+
+
+def _value(content: Mapping[str, Any], names: tuple[str, ...]) -> Any:
+    """The entry of one of these names, the first of them that is there; None if none is."""
+    by_name = {re.sub(r"[^a-z]", "", str(key).lower()): value for key, value in content.items()}
+    return next((by_name[name] for name in names if by_name.get(name) is not None), None)
+
+
+def _foreign_numbers(
+    path: str | os.PathLike, content: Mapping[str, Any], names: tuple[str, ...], title: str
+) -> np.ndarray:
+    value = _value(content, names)
+    if value is None:
+        raise BadInput(f"{path}: no {title}; needed are {_NEEDED}")
+    return _numbers(path, value.get("data") if isinstance(value, Mapping) else value, title)
+
+
+def _size(path: str | os.PathLike, content: Mapping[str, Any]) -> tuple[int, int]:
+    if _value(content, _SIZE) is not None:
+        size = _foreign_numbers(path, content, _SIZE, "image_size")
+    elif _value(content, _WIDTH) is None or _value(content, _HEIGHT) is None:
+        raise BadInput(f"{path}: no image_width and image_height; add them, in pixels")
+    else:
+        of = ((_WIDTH, "image_width"), (_HEIGHT, "image_height"))
+        size = np.concatenate([_foreign_numbers(path, content, *names) for names in of])
+    if size.shape != (2,) or (size < 1).any() or (size % 1 != 0).any():
+        raise BadInput(f"{path}: the size of the image must be two whole numbers: width, height")
+    return int(size[0]), int(size[1])
+
+
+def _distortion(path: str | os.PathLike, content: Mapping[str, Any]) -> np.ndarray:
+    """k1, k2, p1, p2, k3; what is not given is 0."""
+    model = str(_value(content, ("distortionmodel", "cameramodel", "model")) or "").lower()
+    if "fisheye" in model or "equidistant" in model:
+        raise BadInput(f"{path}: a fisheye lens; only k1, k2, p1, p2, k3 (plumb_bob) are read")
+    found = _foreign_numbers(path, content, _DISTORTION, "distortion_coefficients")
+    if len(found) not in (0, 4, 5, 8, 12, 14):
+        raise BadInput(f"{path}: {len(found)} distortion_coefficients; must be 4 or 5")
+    if np.any(found[5:]):
+        raise BadInput(
+            f"{path}: {len(found)} distortion_coefficients; only k1, k2, p1, p2, k3 are read: "
+            "calibrate without the rational, thin prism and tilted models"
+        )
+    return np.pad(found, (0, max(5 - len(found), 0)))[:5]

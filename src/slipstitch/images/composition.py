@@ -3,7 +3,7 @@
 The albedo of the point that a ray sees is the texture's; that of other points that light came by is
 taken as the texture's mean nearby (on the cloth) or all over (on the floor). A reflective floor
 adds a third kind of point: cloth that is seen in it, whose light of each order comes from the
-shading render and whose texture from `slipstitch.images.mirrored_texture`. No Blender is needed.
+shading render. No Blender is needed.
 """
 
 from collections.abc import Iterator
@@ -14,17 +14,44 @@ import cv2
 import numpy as np
 import warp as wp
 
+from slipstitch.images.blur import blur_weights, blurred
 from slipstitch.images.encoding import encode_srgb
-from slipstitch.images.mirrored_texture import MirroredRays, mirrored_albedo, mirrored_rays
+from slipstitch.images.reflection import GGX, MirroredSight
 from slipstitch.images.shading import LIGHT_OVERSAMPLING, Shading, Sight
 from slipstitch.images.textures import KEPT, TEXELS, texture
-from slipstitch.images.warp_arrays import warp_array
+from slipstitch.images.visibility import warp_array
 
 # What lit a fold lies about this far away on the cloth.
 _NEIGHBOURHOOD = 0.12
 _COARSE_TEXELS = 64
 _BLUR_PER_RAY = 0.34
 _TEXTURE_BLURS = (0.35, 0.5, 0.7, 1.0)
+
+
+@dataclass(frozen=True)
+class MirroredRays:
+    """The rays that meet mirrored cloth, pixel by pixel, and the blur of what they see.
+
+    Attributes
+    ----------
+    uv : ndarray (N, 2)
+        Where on the cloth.
+    starts : ndarray (pixels^2 + 1,) int
+        The first ray of each pixel of the image and its margin.
+    weights : ndarray (L, pixels, pixels) float32
+        Of the blur.
+    squeeze : float
+    count : ndarray (pixels, pixels) float32
+        Number of rays, blurred.
+    margin : int
+    """
+
+    uv: np.ndarray
+    starts: np.ndarray
+    weights: np.ndarray
+    squeeze: float
+    count: np.ndarray
+    margin: int
 
 
 @dataclass(frozen=True)
@@ -75,7 +102,7 @@ def join(shading: Shading, sight: Sight) -> Layers:
         sight.cloth.uv[order],
         light[:, order],
         mirrored,
-        None if sight.mirrored is None else mirrored_rays(sight.mirrored),
+        None if sight.mirrored is None else _mirrored_rays(sight.mirrored),
     )
 
 
@@ -127,7 +154,7 @@ def compose_light(layers: Layers, names: list[str]) -> Iterator[np.ndarray]:
         albedos = [warp_array(albedo, wp.vec3) for albedo in (fine, coarse, linear)]
         wp.launch(_light_pixel, dim=len(linear), inputs=[*lights, *albedos], device="cpu")
         if layers.mirrored is not None:
-            seen = mirrored_albedo(layers.rays, mirrored_texel, fine).reshape(-1, 3)
+            seen = _mirrored_albedo(layers.rays, mirrored_texel, fine).reshape(-1, 3)
             linear += (layers.mirrored[0][:, None] + layers.mirrored[1][:, None] * mean) * seen
         yield linear.reshape(layers.pixels, layers.pixels, 3)
 
@@ -156,3 +183,53 @@ def _series(orders: wp.vec3, albedo: wp.vec3, nearby: wp.vec3) -> wp.vec3:
     """Light that met the cloth never, once and twice, the second time at points nearby."""
     ones = wp.vec3(1.0, 1.0, 1.0)
     return ones * orders[0] + wp.cw_mul(albedo, ones * orders[1] + nearby * orders[2])
+
+
+def _mirrored_rays(sight: MirroredSight) -> MirroredRays:
+    """Sort the rays by pixel."""
+    lit = np.flatnonzero(~sight.lying)
+    side = len(sight.width)
+    y, x = np.divmod(sight.seen[lit], side * sight.rays)
+    pixel = (y // sight.rays) * side + x // sight.rays
+    order = np.argsort(pixel, kind="stable")
+    starts = np.searchsorted(pixel[order], np.arange(side**2 + 1))
+    weights = blur_weights(sight.width, GGX)
+    count = np.diff(starts).reshape(side, side, 1).astype(np.float32)
+    count = blurred(count, weights, sight.squeeze)
+    uv = sight.uv[lit[order]]
+    return MirroredRays(uv, starts, weights, sight.squeeze, count, sight.margin)
+
+
+def _mirrored_albedo(rays: MirroredRays, texel: wp.array, texels: np.ndarray) -> np.ndarray:
+    """Mean albedo (pixels, pixels, 3) of the cloth reflected in each floor pixel.
+
+    Parameters
+    ----------
+    rays : MirroredRays
+    texel : Warp array (N,) int
+        Number of each ray's texel.
+    texels : ndarray (M, 3)
+    """
+    image = np.zeros((*rays.count.shape[:2], 3), np.float32)
+    inputs = [warp_array(rays.starts, wp.int32), texel, warp_array(texels, wp.vec3)]
+    flat = warp_array(image.reshape(-1, 3), wp.vec3)
+    wp.launch(_add_albedos, dim=len(rays.starts) - 1, inputs=[*inputs, flat], device="cpu")
+    inside = np.s_[rays.margin : -rays.margin,] * 2
+    image, count = blurred(image, rays.weights, rays.squeeze)[inside], rays.count[inside]
+    mean = image.sum(axis=(0, 1)) / max(float(count.sum()), 1e-6)
+    return np.where(count > 1e-2, image / np.maximum(count, 1e-2), mean)
+
+
+@wp.kernel(enable_backward=False)
+def _add_albedos(
+    starts: wp.array(dtype=wp.int32),
+    texel: wp.array(dtype=wp.int32),
+    texels: wp.array(dtype=wp.vec3),
+    image: wp.array(dtype=wp.vec3),
+):
+    """Sum of the albedos that one pixel's rays see."""
+    pixel = wp.tid()
+    total = wp.vec3()
+    for ray in range(starts[pixel], starts[pixel + 1]):
+        total += texels[texel[ray]]
+    image[pixel] = total

@@ -14,9 +14,8 @@ from slipstitch.images.composition import compose_light, join
 from slipstitch.images.encoding import encode_png
 from slipstitch.images.keypoints import keypoints_m
 from slipstitch.images.packing import Pack, read_pack, shade
-from slipstitch.images.shots import Shot
 from slipstitch.images.textures import texture_file
-from slipstitch.images.view import View
+from slipstitch.images.view import Shot, View
 from slipstitch.physics.simulation.trajectory import Trajectory
 
 SCHEMA = pa.schema(
@@ -74,7 +73,7 @@ def render_shard(
         If the trajectory, the pack or a texture cannot be used.
     """
     started = start_clock()
-    cv2.setNumThreads(view.settings.threads)
+    cv2.setNumThreads(1)
     trajectory = view.trajectory()
     files = [file for name in view.textures.values() if (file := texture_file(name))]
     if pack_path is None:

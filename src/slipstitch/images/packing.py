@@ -23,9 +23,8 @@ from slipstitch.base.provenance import (
 )
 from slipstitch.config.render import RenderSettings
 from slipstitch.images.shading import LIGHT_OVERSAMPLING, Shading, Sight, look, separated_light
-from slipstitch.images.shots import Shot, camera_record, recorded_shots, share_in_image
 from slipstitch.images.surroundings import FLOOR_M, MATTE, Surroundings
-from slipstitch.images.view import View
+from slipstitch.images.view import Shot, View, camera_record, recorded_shots
 from slipstitch.physics.simulation.trajectory import Trajectory
 
 _SCHEMA = pa.schema(
@@ -89,7 +88,7 @@ def render_shadings(
     """Render the frames one by one in Blender."""
     from slipstitch.images.blender import ClothScene
 
-    scene = ClothScene(trajectory.faces, trajectory.uv, surroundings, threads=settings.threads)
+    scene = ClothScene(trajectory.faces, trajectory.uv, surroundings)
     samples = settings.samples * (_SAMPLES_MIRRORED if surroundings.reflects else 1)
     for shot in wanted:
         rendering = scene.render(
@@ -117,11 +116,9 @@ def shade(view: View, trajectory: Trajectory, progress=iter) -> Pack:
     metadata = {
         "simulation": view.simulation,
         "viewpoint": {"id": view.viewpoint_id, "name": view.viewpoint},
-        "camera": camera_record(wanted, view.settings, view.bench_camera),
+        "camera": camera_record(wanted, view.bench_camera),
         "surroundings": surroundings.record(),
-        "smallest_share_of_cloth_in_image": min(
-            share_in_image(trajectory, shot) for shot in wanted
-        ),
+        "smallest_share_of_cloth_in_image": min(shot.share_in_image(trajectory) for shot in wanted),
         "trajectory_sha256": _digests(view),
         "interpolation": view.interpolation and asdict(view.interpolation),
         "interpolated_frames": trajectory.metadata.get("interpolated_frames"),

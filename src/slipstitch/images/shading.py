@@ -27,13 +27,14 @@ import numpy as np
 
 from slipstitch.images.blur import spread
 from slipstitch.images.camera import Camera
-from slipstitch.images.mirrored_light import (
+from slipstitch.images.reflection import (
+    MirroredSight,
     glint_share,
     mirror_shares,
+    mirrored_sight,
     smooth_beside,
     smooth_mirrored_light,
 )
-from slipstitch.images.reflection import MirroredSight, mirrored_sight
 from slipstitch.images.surroundings import MATTE, Surroundings
 from slipstitch.images.visibility import Visibility, sees_quad, visible_cloth
 

@@ -106,9 +106,8 @@ def compare(
 
     stored = read_parquet(shard).slice(row, 1).to_pylist()[0]
     seen_from = read_metadata(shard)["viewpoint"]
-    settings = config.render
     view = View.identified(config, trajectory_path, seen_from["id"], seen_from["name"])
-    name = texture_ids(settings)[stored["texture"]]
+    name = texture_ids(config.render)[stored["texture"]]
     trajectory = view.trajectory()
     pack = read_pack(pack_path, view, trajectory)
     shot, shading, sight = next(
@@ -118,7 +117,7 @@ def compare(
     (light,) = compose_light(join(shading, sight), [view.worn(name)])
     rectified = view.rectifier(trajectory).at(shot.camera, shot.time_s)
     again = rectified(effects.photograph(light, view.noise(name, shot.frame)))
-    scene = ClothScene(trajectory.faces, trajectory.uv, pack.surroundings, threads=settings.threads)
+    scene = ClothScene(trajectory.faces, trajectory.uv, pack.surroundings)
     scene.wear(texture(view.worn(name)))
     # Another seed than the shading render's: the two share no noise.
     positions, seed = trajectory.positions_m[shot.row], 2**20 + shot.frame

@@ -6,7 +6,7 @@ and lamp, the frames, what the cloth wears, and the camera effects of each video
 
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -17,24 +17,34 @@ from slipstitch.config.catalogue import VIEWPOINTS, catalogue_entries
 from slipstitch.config.render import RenderSettings
 from slipstitch.design.grid import films, floors_of, is_reflective, texture_ids, viewpoint_ids
 from slipstitch.design.interpolation import Interpolation, interpolations
-from slipstitch.images.bench_camera import BenchCamera, Rectifier, draw_bench_camera
-from slipstitch.images.calibrated_view import CalibratedView, cloth_size
+from slipstitch.design.sampled_frames import sampled_frames
+from slipstitch.images.bench_camera import BenchCamera, Rectifier, bench_room, draw_bench_camera
+from slipstitch.images.calibrated_view import CalibratedView, cloth_size, crop_to
+from slipstitch.images.camera import Camera
 from slipstitch.images.camera_effects import CameraEffects, draw_camera_effects, pixel_noise
-from slipstitch.images.cloth_interpolation import interpolated
-from slipstitch.images.shots import Shot, shots
 from slipstitch.images.surroundings import Surroundings, draw_surroundings
 from slipstitch.images.textures import worn_texture
 from slipstitch.physics.simulation.trajectory import Trajectory, read_trajectory
 
+#: A frame of which one edge in a hundred is stretched or shortened by more is no cloth.
+#: Of simulated ones it is 0.022 at most.
+STRAIN_MAX = 0.03
 
-def usable_trajectory(path: str | os.PathLike) -> Trajectory:
-    """A trajectory that can be rendered; BadInput if it cannot."""
-    trajectory = read_trajectory(path)
-    if trajectory.uv.min() < -1e-9 or trajectory.uv.max() > 1 + 1e-9:
-        raise BadInput(f"{path}: texture coordinates are outside 0 ... 1")
-    if min(cloth_size(trajectory)) <= 0 or trajectory.stage_z_m.min() < 0:
-        raise BadInput(f"{path}: the cloth has no extent or hangs below the floor")
-    return trajectory
+
+@dataclass(frozen=True)
+class Shot:
+    """One frame to render: its row in the trajectory, its number, its time, its camera."""
+
+    row: int
+    frame: int
+    time_s: float
+    camera: Camera
+
+    def share_in_image(self, trajectory: Trajectory) -> float:
+        """Share of the cloth's vertices that project into the image."""
+        place = self.camera.project(trajectory.positions_m[self.row].astype(np.float64))
+        inside = (place > -0.5) & (place < self.camera.pixels - 0.5)
+        return float(inside.all(axis=1).mean())
 
 
 @dataclass(frozen=True)
@@ -120,7 +130,7 @@ class View:
         """Pose of the camera, if its viewpoint belongs to a family; otherwise None."""
         if not VIEWPOINTS[self.viewpoint].drawn:
             return None
-        return draw_bench_camera(self.settings, self.seed, self.simulation, self.viewpoint)
+        return draw_bench_camera(self.seed, self.simulation, self.viewpoint)
 
     @property
     def surroundings(self) -> Surroundings:
@@ -171,15 +181,29 @@ class View:
         parents = {path.stem: usable_trajectory(path) for path in self.parents}
         return interpolated(parents, self.interpolation.weights, self.simulation)
 
+    def calibrated(self, trajectory: Trajectory) -> CalibratedView:
+        """The crop and the mean cloth over the course of the film."""
+        return CalibratedView.of_trajectory(trajectory, self.viewpoint, self.settings)
+
     def shots(self, trajectory: Trajectory) -> list[Shot]:
         """The frames to render, and the camera of each."""
-        how = (self.viewpoint, self.settings, self.frames_sampled, self.bench_camera)
-        return shots(trajectory, *how)
+        settings, bench, calibrated = self.settings, self.bench_camera, self.calibrated(trajectory)
+        count = len(trajectory.frame)
+        sampled = settings.frames == "sampled"
+        result = []
+        for row in sampled_frames(count, self.frames_sampled) if sampled else range(count):
+            time_s = float(trajectory.time_s[row])
+            camera = calibrated.crop(time_s)
+            if bench:
+                pixels = round(settings.pixels * settings.bench_camera.oversampling)
+                room = bench_room(camera, float(trajectory.stage_x_m[row]), calibrated.room(time_s))
+                camera = crop_to(bench.pose(*calibrated.pose), room, pixels)
+            result.append(Shot(int(row), int(trajectory.frame[row]), time_s, camera))
+        return result
 
     def rectifier(self, trajectory: Trajectory) -> Rectifier:
         """What brings the images into the calibrated viewpoint."""
-        calibrated = CalibratedView.of_trajectory(trajectory, self.viewpoint, self.settings)
-        return Rectifier(self.bench_camera, calibrated)
+        return Rectifier(self.bench_camera, self.calibrated(trajectory))
 
     def inputs(self) -> list:
         """The files that the light depends on."""
@@ -190,3 +214,110 @@ class View:
         """What the record says of the catalogue: viewpoint, floors, and the textures composed."""
         floors = floors_of(self.settings, self.viewpoint_id)
         return catalogue_entries([self.viewpoint], textures, floors)
+
+
+def camera_record(wanted: list[Shot], bench: BenchCamera | None = None) -> dict:
+    """The cameras of all shots, as a shard's metadata holds them."""
+    first = wanted[0].camera
+    return {
+        "convention": "OpenCV: x_camera = rotation x_world + translation_m; x right, y down, "
+        "z forward; the centre of the first pixel is (0, 0); no distortion",
+        "pixels": first.pixels,
+        "bench": bench and bench.record(),
+        "rotation": first.rotation.tolist(),
+        "translation_m": first.translation_m.tolist(),
+        "frames": {
+            str(shot.frame): {
+                "focal_px": shot.camera.matrix[0, 0],
+                "principal_point_px": shot.camera.matrix[:2, 2].tolist(),
+            }
+            for shot in wanted
+        },
+    }
+
+
+def recorded_shots(record: dict, trajectory: Trajectory) -> list[Shot]:
+    """The shots whose `camera_record` this is."""
+    rotation, translation = np.array(record["rotation"]), np.array(record["translation_m"])
+    rows = {int(frame): row for row, frame in enumerate(trajectory.frame)}
+    result = []
+    for frame, crop in record["frames"].items():
+        focal, (x, y) = crop["focal_px"], crop["principal_point_px"]
+        matrix = np.array([[focal, 0, x], [0, focal, y], [0, 0, 1.0]])
+        camera = Camera(rotation, translation, matrix, record["pixels"])
+        row = rows[int(frame)]
+        result.append(Shot(row, int(frame), float(trajectory.time_s[row]), camera))
+    return result
+
+
+def usable_trajectory(path: str | os.PathLike) -> Trajectory:
+    """A trajectory that can be rendered; BadInput if it cannot."""
+    trajectory = read_trajectory(path)
+    if trajectory.uv.min() < -1e-9 or trajectory.uv.max() > 1 + 1e-9:
+        raise BadInput(f"{path}: texture coordinates are outside 0 ... 1")
+    if min(cloth_size(trajectory)) <= 0 or trajectory.stage_z_m.min() < 0:
+        raise BadInput(f"{path}: the cloth has no extent or hangs below the floor")
+    return trajectory
+
+
+def interpolated(
+    parents: Mapping[str, Trajectory], weights: Mapping[str, float], own: str
+) -> Trajectory:
+    """The weighted mean of trajectories, frame by frame as far as it is a cloth.
+
+    Two simulations that roll over at other moments have no cloth between them: in their mean, edges
+    collapse. Where they do, a frame shows the film's own simulation.
+
+    Parameters
+    ----------
+    parents : mapping
+        Simulation id -> trajectory, on one mesh, at the same times.
+    weights : mapping
+        Simulation id -> weight, adding up to 1.
+    own : str
+        Simulation of the film.
+
+    Returns
+    -------
+    Trajectory
+        ``metadata["interpolated_frames"]`` is the number of frames that show the mean.
+
+    Raises
+    ------
+    BadInput
+        If the trajectories do not fit one another.
+    """
+    first, total = parents[own], sum(weights.values())
+    for name, other in parents.items():
+        for key in ("faces", "uv", "frame", "time_s", "stage_x_m"):
+            if not np.array_equal(getattr(other, key), getattr(first, key)):
+                raise BadInput(f"{name}: its {key} is not that of {own}")
+    mean_m = np.zeros(first.positions_m.shape)
+    mean_z_m = np.zeros_like(first.stage_z_m)
+    for name, weight in weights.items():
+        mean_m += weight / total * parents[name].positions_m
+        mean_z_m += weight / total * parents[name].stage_z_m
+    whole = edge_strain(first, mean_m) <= STRAIN_MAX
+    return replace(
+        first,
+        positions_m=np.where(whole[:, None, None], mean_m, first.positions_m).astype(np.float32),
+        stage_z_m=np.where(whole, mean_z_m, first.stage_z_m),
+        metadata={**first.metadata, "interpolated_frames": int(whole.sum())},
+    )
+
+
+def edge_strain(trajectory: Trajectory, positions_m: np.ndarray) -> np.ndarray:
+    """The 99th percentile, over the edges, of the absolute strain of a cloth, shape (T,).
+
+    Parameters
+    ----------
+    trajectory : Trajectory
+        With the mesh and its rest positions.
+    positions_m : ndarray (T, V, 3)
+    """
+    sides = np.sort(trajectory.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    tail, head = np.unique(sides, axis=0).T
+    rest_m = trajectory.rest_positions_m
+    lengths_m = np.linalg.norm(positions_m[:, tail] - positions_m[:, head], axis=2)
+    strain = lengths_m / np.linalg.norm(rest_m[tail] - rest_m[head], axis=1) - 1
+    return np.percentile(np.abs(strain), 99, axis=1)

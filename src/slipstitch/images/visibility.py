@@ -1,7 +1,8 @@
 """The point of the cloth seen by each camera ray: a rasteriser with a depth buffer.
 
 Texture edges and outlines need many rays per pixel, light only few. Blender traces the light; the
-rays that only ask what is where are answered here, at a tenth of the cost.
+rays that only ask what is where are answered here, at a tenth of the cost. On the CPU Warp runs a
+kernel's threads one after the other, in order.
 """
 
 from dataclasses import dataclass
@@ -9,11 +10,27 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
+from slipstitch.base.warp_start import start_warp
 from slipstitch.images.camera import Camera
-from slipstitch.images.warp_arrays import warp_array
 
+start_warp()
+
+_KINDS = {
+    wp.int32: np.int32,
+    wp.vec2i: np.int32,
+    wp.vec3i: np.int32,
+    wp.vec3: np.float32,
+    wp.float64: np.float64,
+    wp.vec2d: np.float64,
+}
 # A camera's rays come in tiles of 4 or 8 a side, within which no two share a row or a column.
 _SHUFFLE = {4: np.array([1, 3, 0, 2]), 8: np.array([1, 4, 7, 2, 5, 0, 3, 6])}
+
+
+def warp_array(values: np.ndarray, dtype) -> wp.array:
+    """The same numbers for Warp; the same memory, where the types agree."""
+    values = np.ascontiguousarray(values, _KINDS[dtype])
+    return wp.array(values, dtype=dtype, device="cpu", copy=False)
 
 
 def ray_places(x: np.ndarray, y: np.ndarray, tile: int) -> tuple[np.ndarray, np.ndarray]:

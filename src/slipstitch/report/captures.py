@@ -8,7 +8,7 @@ import numpy as np
 from slipstitch.base.page.figures import svg_uri
 from slipstitch.base.page.wording import NONE, percent
 from slipstitch.config.train import REFLECTIVE
-from slipstitch.film.captures.scores import subsets, what_they_are
+from slipstitch.film.captures_scores import subsets, what_they_are
 from slipstitch.learning.evaluation import paper
 from slipstitch.learning.evaluation.metrics import CAPTURES, distance, metrics_of
 from slipstitch.learning.evaluation.scores import CALIBRATED

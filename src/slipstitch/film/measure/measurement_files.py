@@ -11,9 +11,9 @@ from typing import Any
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import file_digest, provenance_record, write_json, write_text
 from slipstitch.film.csv_table import FORMULA
-from slipstitch.film.measure import measurement_page, repeats_page
-from slipstitch.film.measure.example import truth_of
+from slipstitch.film.measure import truth_of
 from slipstitch.film.measure.measuring_bench import MeasuredVideo, MeasuringBench
+from slipstitch.film.measure.pages import measurement_page, repeats_page
 from slipstitch.film.measure.repeats import Repeats, combined
 
 COLUMNS = (
@@ -236,9 +236,7 @@ def write_measurements(
     record["instrument"] = first.instrument
     single = len(pair.videos) + len(pair.refused) == 1
     if page_path:
-        content = (
-            measurement_page.page(first, truth_of(read[0])) if single else repeats_page.page(pair)
-        )
+        content = measurement_page(first, truth_of(read[0])) if single else repeats_page(pair)
         write_text(page_path, content, record)
     if numbers_path:
         write_json(numbers_path, first.numbers() if single else pair.numbers(), record)

@@ -1,33 +1,75 @@
-"""Picture of reference measurements: every slip angle, and the interval of each pair."""
+"""Reference friction as files: a table, all details, a picture."""
 
 import os
 from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
 
 import matplotlib
 import numpy as np
+import pandas
 from matplotlib.figure import Figure
 
 from slipstitch.base.page.figures import FIXED_IDS, plain_text, save_figure
 from slipstitch.base.page.palette import BLACK, INTERVAL, SERIES
-from slipstitch.film.reference.angles import SlipAngles
-from slipstitch.film.reference.estimate import Reference
+from slipstitch.base.provenance import provenance_record, recorded_path, start_clock, write_json
+from slipstitch.film.slip_angles import Reference, SlipAngles, estimate, read_angles
 
 # Black is the estimate.
 _COLOURS = tuple(colour for colour in SERIES if colour != BLACK)
+
+COLUMNS = (
+    "material",
+    "substrate",
+    "mu",
+    "error",
+    "standard_error",
+    "position_sd",
+    "bench_error",
+    "positions",
+    "orientations",
+    "measurements",
+    "position_p",
+    "orientation_p",
+)
+
+
+def reference_to_files(
+    table: Path, out: Path, details: Path | None, picture: Path | None
+) -> list[Reference]:
+    """Estimate every pair of a table of slip angles, and write what is asked for.
+
+    Parameters
+    ----------
+    table : path
+        As `slipstitch.film.slip_angles.read_angles` reads it, with its errors.
+    out, details, picture : path
+        CSV, JSON, PNG or SVG; the last two may be None.
+    """
+    started = start_clock()
+    found = [(angles, estimate(angles)) for angles in read_angles(table)]
+    references = [pair for _, pair in found]
+    record = provenance_record("capture", inputs=[table], started=started)
+    rows = [
+        asdict(pair)
+        | {"positions": len(pair.by_position), "orientations": len(pair.by_orientation)}
+        for pair in references
+    ]
+    with recorded_path(out, record) as temporary:
+        content = pandas.DataFrame(rows, columns=list(COLUMNS))
+        content.to_csv(temporary, index=False, float_format="%.6g")
+    if details:
+        write_json(details, [asdict(pair) for pair in references], record)
+    if picture:
+        with recorded_path(picture, record) as temporary:
+            draw_references(found, temporary, picture.suffix[1:])
+    return references
 
 
 def draw_references(
     measured: Sequence[tuple[SlipAngles, Reference]], path: str | os.PathLike, kind: str
 ) -> None:
-    """Draw all pairs, one beneath another.
-
-    Parameters
-    ----------
-    measured : sequence of (SlipAngles, Reference)
-    path : path
-    kind : str
-        png or svg.
-    """
+    """Draw every slip angle, and the interval of each pair, as PNG or SVG."""
     names = sorted({name for angles, _ in measured for name in angles.orientation})
     colour = {name: _COLOURS[k % len(_COLOURS)] for k, name in enumerate(names)}
     with matplotlib.rc_context(FIXED_IDS | {"font.size": 9}):

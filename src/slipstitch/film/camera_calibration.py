@@ -1,17 +1,19 @@
-"""From views of a board to a lens and its reprojection error.
+"""From views of a board to a lens, and from one of it on the floor to the camera's place.
 
-The model is OpenCV's (calib3d, "Camera Calibration and 3D Reconstruction"): pinhole with two focal
-lengths and a principal point, distortion k1, k2, p1, p2, k3 (Brown 1971).
+The model of the lens is OpenCV's (calib3d, "Camera Calibration and 3D Reconstruction"): pinhole
+with two focal lengths and a principal point, distortion k1, k2, p1, p2, k3 (Brown 1971).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 
 import cv2
 import numpy as np
 
 from slipstitch.base.errors import BadInput
+from slipstitch.film.board import Board, check_size
 from slipstitch.film.board_views import BoardView
 from slipstitch.images.camera import Lens
+from slipstitch.images.camera_file import check_position
 
 FEWEST_VIEWS = 5
 # With less tilt, or an uncertainty (relative) above this, the views are too much alike.
@@ -172,3 +174,116 @@ def calibration_record(result: Calibration) -> dict:
         "reprojection_error_px": {"rms": result.rms_px, "views": per_view},
         "views_left_out": result.left_out,
     }
+
+
+@dataclass(frozen=True)
+class FloorPlace:
+    """Position of the board on the floor: its first corner, its width's direction, its height."""
+
+    x_mm: float
+    y_mm: float
+    angle_deg: float
+    thickness_mm: float
+
+    def record(self) -> dict:
+        """The values as a mapping."""
+        return asdict(self)
+
+    def on_stage(self, points_m: np.ndarray) -> np.ndarray:
+        """Points of the board (N, 3) in the stage's coordinates; the board's face looks up."""
+        angle = np.radians(self.angle_deg)
+        across = np.array([np.cos(angle), np.sin(angle), 0.0])
+        # Seen from above, y of the board is a quarter turn clockwise from its x.
+        down = np.array([np.sin(angle), -np.cos(angle), 0.0])
+        origin = np.array([self.x_mm, self.y_mm, self.thickness_mm]) / 1e3
+        return origin + points_m[:, :1] * across + points_m[:, 1:2] * down
+
+
+@dataclass(frozen=True)
+class StagePose:
+    """The camera's place at the stage.
+
+    Attributes
+    ----------
+    rotation : ndarray (3, 3)
+        Stage to camera.
+    translation_m : ndarray (3,)
+    position_uncertainty_m : float
+        Standard deviation of the camera's place, from the scatter of the residuals.
+    rms_px : float
+    place : FloorPlace
+    """
+
+    rotation: np.ndarray
+    translation_m: np.ndarray
+    position_uncertainty_m: float
+    rms_px: float
+    place: FloorPlace
+
+    @property
+    def position_m(self) -> np.ndarray:
+        """The camera's place (3,) in the stage's coordinates."""
+        return -self.rotation.T @ self.translation_m
+
+    def summary(self) -> str:
+        """The place in a few words."""
+        x, y, z = self.position_m * 1e3
+        error_mm = 1e3 * self.position_uncertainty_m
+        return f"; position ({x:.0f}, {y:.0f}, {z:.0f}) mm, to {error_mm:.1g} mm"
+
+
+def stage_pose(
+    lens: Lens, grey: np.ndarray, board: Board, place: FloorPlace, name: str
+) -> StagePose:
+    """Return the position of a camera, from one image of the board lying on the floor.
+
+    Parameters
+    ----------
+    lens : Lens
+    grey : ndarray (rows, columns) uint8
+    board : Board
+    place : FloorPlace
+        Where the board lies.
+    name : str
+        Of the image.
+
+    Raises
+    ------
+    BadInput
+        If the image has another size, no board is found in it, or no camera of a bench could stand
+        where this one would.
+    """
+    if grey.shape[::-1] != tuple(lens.size_px):
+        raise BadInput(
+            f"{name}: {grey.shape[1]}x{grey.shape[0]} pixels; the lens was calibrated with "
+            f"{lens.size_px[0]}x{lens.size_px[1]}"
+        )
+    seen = board.find(grey)
+    if seen is None:
+        raise BadInput(f"{name}: no board found in it")
+    check_size(board, grey, name)
+    points = place.on_stage(seen.points_m.astype(np.float64))
+    model = (lens.matrix, lens.distortion)
+    corners = seen.corners_px.astype(np.float64)
+    _, rvec, tvec = cv2.solvePnP(points, corners, *model, flags=cv2.SOLVEPNP_ITERATIVE)
+    projected, jacobian = cv2.projectPoints(points, rvec, tvec, *model)
+    residuals = corners - projected.reshape(-1, 2)
+    variance = (residuals**2).sum() / (residuals.size - 6)
+    covariance = variance * np.linalg.inv(jacobian[:, :6].T @ jacobian[:, :6])
+    moved = _place_derivative(rvec, tvec)
+    spread = moved @ covariance @ moved.T
+    rms_px = float(np.sqrt((residuals**2).sum(axis=1).mean()))
+    pose = StagePose(
+        cv2.Rodrigues(rvec)[0], tvec.ravel(), float(np.sqrt(np.trace(spread))), rms_px, place
+    )
+    squares = f": are the squares {1e3 * board.square_m:g} mm (--square-mm)?"
+    check_position(name, pose.position_m, squares)
+    return pose
+
+
+def _place_derivative(rvec: np.ndarray, tvec: np.ndarray) -> np.ndarray:
+    """Derivatives (3, 6) of the camera's place with respect to rotation vector and translation."""
+    rotation, turn = cv2.Rodrigues(rvec)
+    # OpenCV gives the derivative of the nine entries of R, row by row.
+    by_turn = -np.einsum("kij,il->jk", turn.reshape(3, 3, 3), tvec)
+    return np.hstack([by_turn, -rotation.T])

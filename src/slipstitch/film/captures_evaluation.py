@@ -1,0 +1,266 @@
+"""Trained models on captures, real or surrogate: predictions, scores, page."""
+
+import os
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from slipstitch.base.errors import BadInput
+from slipstitch.base.page.figures import new_figure, png_uri, styled, svg_uri
+from slipstitch.base.page.palette import INK, SERIES
+from slipstitch.base.page.templates import render
+from slipstitch.base.page.wording import evenly, number, seeds_in_words
+from slipstitch.base.provenance import (
+    provenance_record,
+    start_clock,
+    write_json,
+    write_parquet,
+    write_text,
+)
+from slipstitch.config.evaluate import EvaluateSettings
+from slipstitch.dataset.images import read_frames
+from slipstitch.dataset.manifest import MANIFEST
+from slipstitch.dataset.videos import read_videos
+from slipstitch.film.captures_scores import (
+    capture_metrics,
+    label,
+    pair_medians,
+    subsets,
+    what_they_are,
+)
+from slipstitch.film.ingest_videos import CAPTURES, read_known
+from slipstitch.learning.evaluation import paper
+from slipstitch.learning.evaluation.cumulative import draw_cumulative
+from slipstitch.learning.evaluation.metrics import CAPTURES as OF_CAPTURES
+from slipstitch.learning.evaluation.metrics import metrics_of
+from slipstitch.learning.evaluation.scores import (
+    CALIBRATED,
+    MATERIAL,
+    entries_of,
+    grouped,
+    predicts_material_alone,
+)
+from slipstitch.learning.evaluation.trained import Trained
+from slipstitch.learning.lrcn_model import LrcnModel
+from slipstitch.learning.torch_setup import set_up_torch
+
+_OF_CAPTURE = (
+    *("video", "pair", "material", "substrate", "repeat"),
+    *("mu_ref", "mu_ref_error", "reflective", "surrogate"),
+)
+_TEMPLATE = Path(__file__).with_name("captures.html.j2")
+_DASHES = {"all": "-", "matte": "--", "reflective": ":"}
+_FRAMES_SHOWN = 10
+
+
+def predict_captures(
+    settings: EvaluateSettings, dataset: str | os.PathLike, trained: Trained
+) -> list[dict[str, Any]]:
+    """Return the predictions of all trained models for all captures, a row each.
+
+    Parameters
+    ----------
+    settings : EvaluateSettings
+    dataset : path
+        What `slipstitch capture ingest` wrote.
+    trained : Trained
+
+    Raises
+    ------
+    BadInput
+        If there is no model, two were trained on different datasets, or files are damaged or of
+        another shape.
+    """
+    models = trained.load()
+    # Captures are of no training, so nothing else tells that these are of one dataset.
+    of_dataset = {
+        model.card.get("dataset_digest"): f"{network} {split} seed {seed}"
+        for (split, network, seed), model in models.items()
+    }
+    if len(of_dataset) > 1:
+        one, other, *_ = of_dataset.values()
+        raise BadInput(f"{one} and {other} were trained on different datasets")
+    known, videos = read_known(dataset), read_videos(dataset)
+    rows = []
+    for (split, network, seed), model in models.items():
+        if predicts_material_alone(network):
+            continue
+        stored = videos.pixels.shape[1]
+        if isinstance(model, LrcnModel) and model.card["frames"] != stored:
+            raise BadInput(
+                f"{dataset}: videos of {stored} frames, but the networks in {trained.networks} "
+                f"were trained with {model.card['frames']}: ingest with their configuration"
+            )
+        predictions = model.predict(videos, settings.batch_size)
+        material = models.get((split, MATERIAL + CALIBRATED * network.endswith(CALIBRATED), seed))
+        seen = predictions
+        if isinstance(model, LrcnModel) and material is not None:
+            seen = material.predict(videos, settings.batch_size)
+        for capture, prediction, of_fabric in zip(known, predictions, seen, strict=True):
+            low, high = prediction.interval_90 or (None, None)
+            fabrics = of_fabric.fabrics
+            rows.append(
+                {
+                    **{name: capture[name] for name in _OF_CAPTURE},
+                    "model": entries_of(network),
+                    "trained_on": split,
+                    "seed": seed,
+                    "friction": prediction.friction_coefficient,
+                    "low": low,
+                    "high": high,
+                    "fabrics": fabrics,
+                    "likeliest_material": fabrics[0] if fabrics else None,
+                    "alarm": None if prediction.alarm is None else prediction.alarm_reason,
+                }
+            )
+    if not rows:
+        folder = trained.networks or trained.instruments
+        raise BadInput(f"{folder}: no trained model for captures found")
+    return rows
+
+
+def write_captures_evaluation(
+    settings: EvaluateSettings,
+    dataset: str | os.PathLike,
+    trained: Trained,
+    out: str | os.PathLike,
+    predictions_out: str | os.PathLike,
+    page_out: str | os.PathLike | None = None,
+    threads: int = 1,
+) -> dict[str, Any]:
+    """Evaluate on captures; write scores (JSON), predictions (Parquet) and the page."""
+    started = start_clock()
+    set_up_torch(threads)
+    rows = predict_captures(settings, dataset, trained)
+    metrics = capture_metrics(rows, settings.friction_step)
+    weights = [path for paths in trained.weights().values() for path in paths]
+    inputs = [Path(dataset) / name for name in (MANIFEST, CAPTURES)]
+    keys = {"evaluate": settings}
+    record = provenance_record("evaluate", inputs=inputs + weights, config=keys, started=started)
+    write_json(out, metrics, record)
+    write_parquet(pa.Table.from_pylist(rows), predictions_out, {}, record)
+    if page_out is not None:
+        page = captures_page(
+            Path(dataset), read_known(dataset), rows, metrics, settings.friction_step
+        )
+        write_text(page_out, page, record)
+    return metrics
+
+
+def captures_page(
+    dataset: Path,
+    known: Sequence[Mapping[str, Any]],
+    found: Sequence[Mapping[str, Any]],
+    metrics: Mapping[str, Mapping[str, Mapping[str, Any]]],
+    step: float,
+) -> str:
+    """Return the page as HTML; it needs no other file.
+
+    Parameters
+    ----------
+    dataset : path
+        Of the captures, for their pictures.
+    known : sequence of mapping
+        The captures.
+    found : sequence of mapping
+        Predictions, as `predict_captures` makes them.
+    metrics : mapping
+    step : float
+        Of the grid of friction.
+    """
+    columns = metrics_of(OF_CAPTURES)
+    return render(
+        _TEMPLATE,
+        first_line=what_they_are(known),
+        metrics=metrics,
+        columns=columns,
+        paper=paper,
+        paper_cells={
+            subset: paper.captures_cells(subset, [metric.name for metric in columns])
+            for subset in paper.CAPTURES
+        },
+        seeds_in_words=seeds_in_words,
+        plot=svg_uri(_cumulative(found, step)),
+        models=[
+            {
+                "label": f"{label(row)}, seed {row['seed']}".replace("_", " "),
+                "rows": pair_medians(
+                    [one for one in found if _of_training(one) == _of_training(row)], step
+                ),
+            }
+            for row in _first_by(found, label)
+        ],
+        strips=[_strip(dataset, row) for row in _first_by(known, lambda row: row["pair"])],
+        captures=len(known),
+        pairs=len({row["pair"] for row in known}),
+        notes=[f"{row['video']}: {row['notes']}" for row in known if row["notes"]],
+    )
+
+
+def _first_by(items: Iterable[Any], key: Callable[[Any], str]) -> list[Any]:
+    """The first item of every value of a key."""
+    first: dict[str, Any] = {}
+    for item in items:
+        first.setdefault(key(item), item)
+    return list(first.values())
+
+
+def _of_training(row: Mapping[str, Any]) -> tuple[str, int | None]:
+    return label(row), row["seed"]
+
+
+@styled
+def _cumulative(found: Sequence[Mapping[str, Any]], step: float) -> Figure:
+    """Share of the pairs whose median's error is at most so large, as in the paper's Fig. 6."""
+    figure = new_figure(7.6, 3.6)
+    axes = figure.subplots()
+    off: dict[str, dict[str, np.ndarray]] = {}
+    for name, chosen in subsets(found).items():
+        part = [row for row, one in zip(found, chosen, strict=True) if one]
+        for of_training in grouped(part, "model", "trained_on").values():
+            of_pairs = [
+                pair["error"]
+                for of_seed in grouped(of_training, "seed").values()
+                for pair in pair_medians(of_seed, step)
+            ]
+            off.setdefault(label(of_training[0]), {})[name] = np.array(of_pairs)
+    largest = max(0.3, *(errors.max() for of_label in off.values() for errors in of_label.values()))
+    for colour, (title, of_label) in zip(SERIES, off.items(), strict=False):
+        for name, errors in of_label.items():
+            kind = name.split("_")[1]
+            draw_cumulative(
+                axes,
+                errors,
+                largest,
+                color=colour,
+                linestyle=_DASHES[kind],
+                label=title.replace("_", " ") if kind == "all" else None,
+                linewidth=1.8 if kind == "all" else 1.1,
+            )
+    axes.set(xlim=(0, largest), ylim=(0, 1.02))
+    axes.set_xlabel("distance of a pair’s median µ from the reference interval")
+    axes.set_ylabel("share of pairs")
+    colours = axes.legend(fontsize=7.5, frameon=False, loc="lower right")
+    kinds = [name.split("_")[1] for name in subsets(found)]
+    if len(kinds) > 1:  # two short legends for a long one: colours, dashes
+        lines = [Line2D([], [], color=INK, ls=_DASHES[kind], label=kind) for kind in kinds]
+        axes.add_artist(colours)
+        axes.legend(handles=lines, fontsize=7.5, frameon=False, loc="center right")
+    return figure
+
+
+def _strip(dataset: Path, row: Mapping[str, Any]) -> dict[str, Any]:
+    """Some frames of a capture as the networks see them."""
+    file = dataset / f"{row['video'].rsplit('_', 2)[0]}.parquet"
+    images = [png for _, _, png in read_frames(file)]
+    reference = number(row["mu_ref"], row["mu_ref_error"])
+    mirrors = ", reflective" if row["reflective"] else ""
+    return {
+        "title": f"{row['material']} on {row['substrate']}, µ = {reference}{mirrors}",
+        "images": [png_uri(image) for image in evenly(images, _FRAMES_SHOWN)],
+    }

@@ -1,1 +1,0 @@
-"""Reference friction from slip angles on an inclined plane."""
