@@ -37,38 +37,20 @@ _IMAGES_TRIED = 5
 
 @dataclass(frozen=True)
 class Sighting:
-    """A board's corners in one image.
+    """A board's corners in one image."""
 
-    Attributes
-    ----------
-    points_m : ndarray (N, 3) float32
-        On the board.
-    corners_px : ndarray (N, 2) float32
-        In the image; the centre of the first pixel is (0, 0).
-    """
-
-    points_m: np.ndarray
-    corners_px: np.ndarray
+    points_m: np.ndarray  # (N, 3) float32: on the board
+    corners_px: np.ndarray  # (N, 2) float32: in the image; the centre of the first pixel is (0, 0)
 
 
 @dataclass(frozen=True)
 class Board:
-    """A checkerboard, or a ChArUco board if it has markers.
+    """A checkerboard, or a ChArUco board if it has markers."""
 
-    Attributes
-    ----------
-    squares : tuple of int
-        Along its width and its height.
-    square_m : float
-    marker_m : float, optional
-    dictionary : str, optional
-        OpenCV's name of the set of markers.
-    """
-
-    squares: tuple[int, int]
+    squares: tuple[int, int]  # along its width and its height
     square_m: float
     marker_m: float | None = None
-    dictionary: str | None = None
+    dictionary: str | None = None  # OpenCV's name of the set of markers
 
     @classmethod
     def named(

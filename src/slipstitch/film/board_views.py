@@ -56,7 +56,6 @@ def read_views(paths: Sequence[str | os.PathLike], board: Board) -> list[BoardVi
     paths : sequence of paths
         Images, or one video. Of a video, up to 60 frames at regular intervals are looked at and
         the 25 in which the board's places differ most are kept.
-    board : Board
 
     Raises
     ------

@@ -36,7 +36,6 @@ def calibrate_to_file(
 
     Parameters
     ----------
-    board : Board
     views : sequence of path
         Images of the board, or one video.
     stage_view : path, optional

@@ -35,30 +35,14 @@ _MODELS = {
 
 @dataclass(frozen=True)
 class Calibration(Lens):
-    """A camera's lens and how well it explains the views.
+    """A camera's lens and how well it explains the views."""
 
-    Attributes
-    ----------
-    uncertainty : ndarray (9,)
-        Standard deviations of fx, fy, cx, cy and of the distortion.
-    model : str
-        Which distortion coefficients are not zero.
-    views : list of BoardView
-        Those that were used.
-    residuals_px : list of ndarray (N, 2)
-        Found minus reprojected corners, view by view.
-    tilt_deg : float
-        Largest angle between the board's normals in two views.
-    left_out : dict
-        Name -> rms (px) of views that fitted no camera.
-    """
-
-    uncertainty: np.ndarray
-    model: str
-    views: list[BoardView]
-    residuals_px: list[np.ndarray]
-    tilt_deg: float
-    left_out: dict[str, float]
+    uncertainty: np.ndarray  # (9,): standard deviations of fx, fy, cx, cy and of the distortion
+    model: str  # which distortion coefficients are not zero
+    views: list[BoardView]  # those that were used
+    residuals_px: list[np.ndarray]  # (N, 2): found minus reprojected corners, view by view
+    tilt_deg: float  # largest angle between the board's normals in two views
+    left_out: dict[str, float]  # name -> rms (px) of views that fitted no camera
 
     @property
     def rms_px(self) -> float:
@@ -201,21 +185,11 @@ class FloorPlace:
 
 @dataclass(frozen=True)
 class StagePose:
-    """The camera's place at the stage.
+    """The camera's place at the stage."""
 
-    Attributes
-    ----------
-    rotation : ndarray (3, 3)
-        Stage to camera.
-    translation_m : ndarray (3,)
-    position_uncertainty_m : float
-        Standard deviation of the camera's place, from the scatter of the residuals.
-    rms_px : float
-    place : FloorPlace
-    """
-
-    rotation: np.ndarray
-    translation_m: np.ndarray
+    rotation: np.ndarray  # (3, 3): stage to camera
+    translation_m: np.ndarray  # (3,)
+    # standard deviation of the camera's place, from the scatter of the residuals
     position_uncertainty_m: float
     rms_px: float
     place: FloorPlace
@@ -239,9 +213,7 @@ def stage_pose(
 
     Parameters
     ----------
-    lens : Lens
     grey : ndarray (rows, columns) uint8
-    board : Board
     place : FloorPlace
         Where the board lies.
     name : str

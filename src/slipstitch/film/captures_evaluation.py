@@ -65,10 +65,8 @@ def predict_captures(
 
     Parameters
     ----------
-    settings : EvaluateSettings
     dataset : path
         What `slipstitch capture ingest` wrote.
-    trained : Trained
 
     Raises
     ------
@@ -169,7 +167,6 @@ def captures_page(
         The captures.
     found : sequence of mapping
         Predictions, as `predict_captures` makes them.
-    metrics : mapping
     step : float
         Of the grid of friction.
     """

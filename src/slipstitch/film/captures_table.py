@@ -24,39 +24,23 @@ LARGEST_FRICTION = 10.0
 
 @dataclass(frozen=True)
 class Capture:
-    """One video of one pair of fabric and substrate.
+    """One video of one pair of fabric and substrate."""
 
-    Attributes
-    ----------
-    id : str
-        ``c00_r01``: the pair's number in the table and the repeat.
-    video, camera : path
-    material, substrate : str
-    repeat : int
-    mu_ref, mu_ref_error : float
-        Friction measured by other means, and half the width of its interval.
-    reflective : bool
-        Whether the substrate is reflective.
-    start_s : float, optional
-        Time in the video at which the stage starts; found in the frames if None.
-    frame_rate_hz : float, optional
-        Of the camera, where the file's own times are wrong; None: those are taken.
-    surrogate : bool
-        True for simulated videos, which are never called real.
-    """
-
-    id: str
+    id: str  # ``c00_r01``: the pair's number in the table and the repeat
     video: Path
     camera: Path
     material: str
     substrate: str
     repeat: int
+    # friction measured by other means, and half the width of its interval
     mu_ref: float
     mu_ref_error: float
-    reflective: bool
+    reflective: bool  # whether the substrate is reflective
+    # time in the video at which the stage starts; found in the frames if None
     start_s: float | None = None
+    # of the camera, where the file's own times are wrong; None: those are taken
     frame_rate_hz: float | None = None
-    surrogate: bool = False
+    surrogate: bool = False  # true for simulated videos, which are never called real
 
     @property
     def pair(self) -> str:

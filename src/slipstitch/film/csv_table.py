@@ -21,23 +21,13 @@ FORMULA = ("=", "+", "@", "\t", "\r")
 
 @dataclass(frozen=True)
 class TableColumn:
-    """A column of a table.
-
-    Attributes
-    ----------
-    name : str
-    read : callable
-        A cell's text -> its value; raises ValueError saying what is allowed.
-    needed : bool
-        Whether the table must have it.
-    may_be_empty : bool
-        Whether single cells may be empty: their value is None.
-    """
+    """A column of a table."""
 
     name: str
+    # A cell's text -> its value; raises ValueError saying what is allowed
     read: Callable[[str], Any]
-    needed: bool = True
-    may_be_empty: bool = False
+    needed: bool = True  # whether the table must have it
+    may_be_empty: bool = False  # whether single cells may be empty: their value is None
 
 
 def name(cell: str) -> str:
@@ -110,7 +100,6 @@ def read_table(path: str | os.PathLike, columns: Sequence[TableColumn]) -> list[
 
     Parameters
     ----------
-    path : path
     columns : sequence of TableColumn
         All that it may have.
 

@@ -14,19 +14,10 @@ from slipstitch.images.calibrated_view import CalibratedView, viewpoint_pose
 
 @dataclass(frozen=True)
 class Schedule(CalibratedView):
-    """The frames of a dataset's videos.
+    """The frames of a dataset's videos."""
 
-    Attributes
-    ----------
-    frame : ndarray (n,) int
-        Numbers in the simulation.
-    frame_rate_hz : float
-        Frame k is at k / this, counted from the start of the stage's motion.
-    path : StagePath
-    """
-
-    frame: np.ndarray
-    frame_rate_hz: float
+    frame: np.ndarray  # (n,) int: numbers in the simulation
+    frame_rate_hz: float  # frame k is at k / this, counted from the start of the stage's motion
     path: StagePath = field(default_factory=StagePath)
 
     @classmethod

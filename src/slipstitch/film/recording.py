@@ -37,20 +37,11 @@ class Moment:
 
 @dataclass(frozen=True)
 class FrameIndex:
-    """The frames of a video in turn.
+    """The frames of a video in turn."""
 
-    Attributes
-    ----------
-    time_s : ndarray (n,)
-        Since the first frame.
-    is_key : ndarray (n,) bool
-        Whether decoding can begin at the frame.
-    timestamp : ndarray (n,) int, optional
-        In the stream's unit; None where only decoding all frames tells which one is which.
-    """
-
-    time_s: np.ndarray
-    is_key: np.ndarray
+    time_s: np.ndarray  # (n,): since the first frame
+    is_key: np.ndarray  # (n,) bool: whether decoding can begin at the frame
+    # (n,) int: in the stream's unit; None where only decoding all frames tells which one is which
     timestamp: np.ndarray | None
 
 
@@ -59,7 +50,6 @@ class Recording:
 
     Parameters
     ----------
-    path : path
     frame_rate_hz : float, optional
         Of the camera: frame k is at k / this. By default each frame's own time is taken.
 

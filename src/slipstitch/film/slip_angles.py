@@ -32,25 +32,15 @@ _LARGEST_CONDITION = 1e10
 
 @dataclass(frozen=True)
 class SlipAngles:
-    """All measurements of one pair of fabric and substrate.
-
-    Attributes
-    ----------
-    material, substrate : str
-    position, orientation : list of str
-        Of each measurement: the place on the substrate, the direction of the fabric.
-    angle_rad : ndarray (n,)
-        At which the specimen slipped.
-    bench_error_rad : float
-        The largest error of the bench's angle, the same in all measurements.
-    """
+    """All measurements of one pair of fabric and substrate."""
 
     material: str
     substrate: str
+    # of each measurement: the place on the substrate, the direction of the fabric
     position: list[str]
     orientation: list[str]
-    angle_rad: np.ndarray
-    bench_error_rad: float
+    angle_rad: np.ndarray  # (n,): at which the specimen slipped
+    bench_error_rad: float  # the largest error of the bench's angle, the same in all measurements
 
 
 def read_angles(path: str | os.PathLike) -> list[SlipAngles]:
@@ -108,38 +98,25 @@ def read_angles(path: str | os.PathLike) -> list[SlipAngles]:
 
 @dataclass(frozen=True)
 class Reference:
-    """Friction of a pair.
-
-    Attributes
-    ----------
-    material, substrate : str
-    mu, error : float
-        The interval mu +- error holds the pair's friction with 95 % probability.
-    standard_error, degrees_of_freedom : float
-        Of mu, without the bench's error.
-    bench_error : float
-        Largest error of mu by the bench alone.
-    position_sd, repeat_sd : float, optional
-        tau (0 where the estimate of tau^2 is negative; None with one position, or one
-        measurement at each) and sigma (of both together then).
-    position_p, orientation_p : float, optional
-        Probability of means as different as these if all were equal (F test); None with one.
-    by_position, by_orientation : dict
-        Name -> mean, and number of measurements.
-    measurements : int
-    """
+    """Friction of a pair."""
 
     material: str
     substrate: str
+    # the interval mu +- error holds the pair's friction with 95 % probability
     mu: float
     error: float
+    # of mu, without the bench's error
     standard_error: float
     degrees_of_freedom: float
-    bench_error: float
+    bench_error: float  # largest error of mu by the bench alone
+    # tau (0 where the estimate of tau^2 is negative; None with one position, or one measurement at
+    # each) and sigma (of both together then)
     position_sd: float | None
     repeat_sd: float
+    # probability of means as different as these if all were equal (F test); None with one
     position_p: float | None
     orientation_p: float | None
+    # name -> mean, and number of measurements
     by_position: dict[str, tuple[float, int]]
     by_orientation: dict[str, tuple[float, int]]
     measurements: int

@@ -63,21 +63,12 @@ SHORTEST_DRAG_S = 15.0
 
 @dataclass(frozen=True)
 class TimeBase:
-    """The clock of a video relative to the stage.
+    """The clock of a video relative to the stage."""
 
-    Attributes
-    ----------
-    rate : float
-        Speed of the stage in the video's time, relative to the protocol's.
-    rate_sd : float
-        Standard deviation of `rate`.
-    time_s, offset_m : ndarray (n,)
-        Moments in the film's time from the start, and how far the stage stood ahead (along the
-        track) of where the fitted path has it.
-    """
-
-    rate: float
-    rate_sd: float
+    rate: float  # speed of the stage in the video's time, relative to the protocol's
+    rate_sd: float  # standard deviation of `rate`
+    # (n,): moments in the film's time from the start, and how far the stage stood ahead (along the
+    # track) of where the fitted path has it
     time_s: np.ndarray
     offset_m: np.ndarray
 
@@ -98,7 +89,6 @@ class StageFollower:
         The real camera.
     crop : Camera
         Of the calibrated viewpoint at the start.
-    path : StagePath
     """
 
     def __init__(self, lens: Camera, crop: Camera, path: StagePath):

@@ -61,24 +61,13 @@ _GIVE_START = "--start-s, or start_s in a captures table"
 
 @dataclass(frozen=True)
 class StageStart:
-    """The start of the stage's motion.
+    """The start of the stage's motion."""
 
-    Attributes
-    ----------
-    time_s : float
-        In the video's time.
-    found : bool
-        Whether it was found in the frames; else it was stated.
-    speed : float, optional
-        Of the stage, in units of the protocol's; 1 but for a wrong frame rate or stage.
-    residual_m : float, optional
-        Root mean square of what the fit leaves over.
-    """
-
-    time_s: float
-    found: bool
+    time_s: float  # in the video's time
+    found: bool  # whether it was found in the frames; else it was stated
+    # of the stage, in units of the protocol's; 1 but for a wrong frame rate or stage
     speed: float | None = None
-    residual_m: float | None = None
+    residual_m: float | None = None  # root mean square of what the fit leaves over
 
     @property
     def speed_is_right(self) -> bool:
@@ -158,7 +147,6 @@ def find_start(
         The real camera.
     crop : Camera
         Of the calibrated viewpoint at the start.
-    path : StagePath
     """
     search = Search(lens, crop, path)
     for moment in moments:

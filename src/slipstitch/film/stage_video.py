@@ -1,7 +1,7 @@
 """From a video of the bench to the input frames of a network."""
 
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -18,13 +18,7 @@ from slipstitch.film.stage_clock import (
 )
 from slipstitch.film.stage_start import StageStart, found_start, start_is_seen
 from slipstitch.images.camera import AIM_M, Camera, relative_pose
-from slipstitch.images.rectification import (
-    cloth_surface,
-    fine_source_pixels,
-    in_image,
-    rectify,
-    source_pixels,
-)
+from slipstitch.images.rectification import fine_source_pixels, in_image, rectify, source_pixels
 
 # A frame this near to the wanted moment is as good as it (the stage moves 2.5 mm); one farther away
 # than the second number is of another moment.
@@ -38,40 +32,23 @@ _LEAST_SAMPLING = 0.8
 
 @dataclass(frozen=True)
 class StageVideo:
-    """A real video as the networks see it.
+    """A real video as the networks see it."""
 
-    Attributes
-    ----------
-    frames : ndarray (n, pixels, pixels, 3) uint8
-        Red, green, blue.
-    time_s : ndarray (n,)
-        Of each frame, from the start of the stage's motion.
-    stage_x_m : ndarray (n,)
-    start : StageStart
-    time_base : TimeBase or None
-        The video's clock relative to the stage; None if too little of the drag was detected.
-    frame_interval_s, longest_gap_s : float
-        Median and largest time between frames of the file, while the protocol ran.
-    view_angle_deg : float
-        Between the directions in which the real camera and the calibrated viewpoint stand.
-    pose : dict
-        Pose of the camera relative to that viewpoint, see `slipstitch.images.camera.POSE`.
-    inside : ndarray (n,)
-        Share of each image that the real camera saw.
-    notes : list of str
-        What a person should know before trusting the result.
-    """
-
-    frames: np.ndarray
-    time_s: np.ndarray
-    stage_x_m: np.ndarray
+    frames: np.ndarray  # (n, pixels, pixels, 3) uint8: red, green, blue
+    time_s: np.ndarray  # (n,): of each frame, from the start of the stage's motion
+    stage_x_m: np.ndarray  # (n,)
     start: StageStart
+    # the video's clock relative to the stage; None if too little of the drag was detected
     time_base: TimeBase | None
+    # median and largest time between frames of the file, while the protocol ran
     frame_interval_s: float
     longest_gap_s: float
+    # between the directions in which the real camera and the calibrated viewpoint stand
     view_angle_deg: float
+    # pose of the camera relative to that viewpoint, see `slipstitch.images.camera.POSE`
     pose: dict[str, float]
-    inside: np.ndarray
+    inside: np.ndarray  # (n,): share of each image that the real camera saw
+    # what a person should know before trusting the result
     notes: list[str] = field(default_factory=list)
 
 
@@ -88,7 +65,6 @@ def read_stage_video(
 
     Parameters
     ----------
-    path : path
     lens : Camera
         The camera that took it, at the stage.
     schedule : Schedule
@@ -172,8 +148,7 @@ def _rectified(
     """Images at times from the start as the calibrated view has them, and how much of each."""
     frames, inside = [], []
     for image, at_s in zip(images, np.maximum(time_s, 0.0).tolist(), strict=True):
-        crop = schedule.crop(at_s)
-        picture, share = rectify(image, lens, crop, cloth_surface(crop, schedule.cloth(at_s)))
+        picture, share = rectify(image, lens, *schedule.seen(at_s))
         frames.append(picture[..., ::-1])
         inside.append(share)
     return np.stack(frames), np.array(inside)
@@ -181,27 +156,12 @@ def _rectified(
 
 def seen_shares(lens: Camera, schedule: Schedule) -> np.ndarray:
     """Share of each image of a schedule that a camera sees, shape (n,); needs no video."""
-    columns, rows = lens.size_px
-    shares = []
-    for time_s in map(float, schedule.time_s):
-        crop = schedule.crop(time_s)
-        place = fine_source_pixels(lens, crop, cloth_surface(crop, schedule.cloth(time_s)))
-        shares.append(in_image(place, columns, rows).mean())
-    return np.array(shares)
+    places = (fine_source_pixels(lens, *schedule.seen(float(one))) for one in schedule.time_s)
+    return np.array([in_image(place, *lens.size_px).mean() for place in places])
 
 
-def _seen_too_little(
-    shares: Sequence[float] | np.ndarray, time_s: Sequence[float] | np.ndarray
-) -> str:
-    """When a camera sees less of a crop than is needed, and how much; empty where it never does.
-
-    Parameters
-    ----------
-    shares : sequence of float, length n
-        Of each crop.
-    time_s : sequence of float, length n
-        From the start of the stage's motion.
-    """
+def _seen_too_little(shares: np.ndarray, time_s: np.ndarray) -> str:
+    """When a camera sees less of a crop than is needed, and how much; empty where it never does."""
     worst = int(np.argmin(shares))
     if shares[worst] >= _LEAST_INSIDE:
         return ""
@@ -221,8 +181,7 @@ def problem_of_view(lens: Camera, schedule: Schedule, shares: np.ndarray) -> str
 
 def _seen_too_coarsely(lens: Camera, schedule: Schedule) -> str:
     """How few pixels a camera that sees the crop has for each of its; empty if enough."""
-    crop = schedule.crop(0.0)
-    place = source_pixels(lens, crop, cloth_surface(crop, schedule.cloth(0.0)))
+    place = source_pixels(lens, *schedule.seen(0.0))
     steps = [np.linalg.norm(np.diff(place, axis=axis), axis=-1) for axis in (0, 1)]
     sampling = min(float(np.nanmedian(step)) for step in steps)
     if sampling >= _LEAST_SAMPLING:

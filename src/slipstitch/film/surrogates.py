@@ -66,24 +66,13 @@ _ANGLE_SCATTER = 0.02
 
 @dataclass(frozen=True)
 class Film:
-    """One surrogate capture.
-
-    Attributes
-    ----------
-    id : str
-    pair : PairSettings
-    repeat : int
-    friction : float
-        Where the fabric lay this time.
-    seed : int
-        Of the clamps and the fabric.
-    """
+    """One surrogate capture."""
 
     id: str
     pair: PairSettings
     repeat: int
-    friction: float
-    seed: int
+    friction: float  # where the fabric lay this time
+    seed: int  # of the clamps and the fabric
 
 
 def films(config: Config) -> list[Film]:
@@ -241,8 +230,6 @@ def make_film(config: Config, film: Film, out: str | os.PathLike, progress=iter)
 
     Parameters
     ----------
-    config : Config
-    film : Film
     out : path
         Video, MP4.
     progress : callable

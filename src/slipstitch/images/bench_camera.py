@@ -16,7 +16,7 @@ import numpy as np
 
 from slipstitch.images.calibrated_view import CalibratedView
 from slipstitch.images.camera import AIM_M, POSE, Camera, relative_pose
-from slipstitch.images.rectification import cloth_surface, fine_source_pixels, resample, stage_plane
+from slipstitch.images.rectification import fine_source_pixels, resample, stage_plane
 from slipstitch.images.surroundings import drawn_by, generator
 
 # How far a bench's camera is off at most, and how exactly it is known. One in three is not off.
@@ -35,34 +35,21 @@ _CORNERS = np.array([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)])
 
 @dataclass(frozen=True)
 class BenchCamera:
-    """Pose of a camera relative to the calibrated viewpoint, and the errors of its calibration.
+    """Pose of a camera relative to the calibrated viewpoint, and the errors of its calibration."""
 
-    Attributes
-    ----------
-    yaw_deg, pitch_deg, roll_deg : float
-        Azimuth and elevation more than the viewpoint's, about the point that it is aimed at; turn
-        about the optical axis.
-    distance : float
-        In units of the viewpoint's.
-    aim_m : tuple of float
-        By how much the point that it is aimed at is off, in the stage's coordinates.
-    rotation_error_deg, position_error_m : tuple of float
-        Of the calibration, about and along the camera's axes.
-    focal_error : float
-        Of the calibration, as a share.
-    start_error_s : float
-        How much too late the stage's start was found.
-    """
-
+    # azimuth and elevation more than the viewpoint's, about the point that it is aimed at; turn
+    # about the optical axis
     yaw_deg: float = 0.0
     pitch_deg: float = 0.0
     roll_deg: float = 0.0
-    distance: float = 1.0
+    distance: float = 1.0  # in units of the viewpoint's
+    # by how much the point that it is aimed at is off, in the stage's coordinates
     aim_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    # of the calibration, about and along the camera's axes
     rotation_error_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
     position_error_m: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    focal_error: float = 0.0
-    start_error_s: float = 0.0
+    focal_error: float = 0.0  # of the calibration, as a share
+    start_error_s: float = 0.0  # how much too late the stage's start was found
 
     def record(self) -> dict[str, Any]:
         """The values as a mapping of plain values."""
@@ -145,16 +132,9 @@ def bench_room(seen: Camera, stage_x_m: float, room_m: np.ndarray) -> np.ndarray
 
 @dataclass(frozen=True)
 class Rectifier:
-    """Brings a video's images into the calibrated viewpoint; leaves those that need it not.
+    """Brings a video's images into the calibrated viewpoint; leaves those that need it not."""
 
-    Attributes
-    ----------
-    bench : BenchCamera, optional
-        None: the images are what they shall be.
-    calibrated : CalibratedView
-    """
-
-    bench: BenchCamera | None
+    bench: BenchCamera | None  # None: the images are what they shall be
     calibrated: CalibratedView
 
     def source_pixels(self, camera: Camera, time_s: float) -> np.ndarray:
@@ -169,9 +149,7 @@ class Rectifier:
         """
         assert self.bench is not None
         found_s = time_s + self.bench.start_error_s
-        seen = self.calibrated.crop(found_s)
-        surface = cloth_surface(seen, self.calibrated.cloth(found_s))
-        return fine_source_pixels(self.bench.stated(camera), seen, surface)
+        return fine_source_pixels(self.bench.stated(camera), *self.calibrated.seen(found_s))
 
     def at(self, camera: Camera, time_s: float) -> Callable[[np.ndarray], np.ndarray]:
         """Of the images of a camera at a time: what makes each (pixels, pixels, 3) uint8."""

@@ -38,21 +38,15 @@ _FILL_FROM = (-0.30, -0.80, 0.52)
 
 
 class Rendering(NamedTuple):
-    """The output of Blender.
+    """The output of Blender."""
 
-    Attributes
-    ----------
-    radiance : ndarray (2, rows, columns, 3) float32
-        Linear light that comes from the lamp, and from the dome and background: red, green,
-        blue. The image is the sum of the two.
-    uv : ndarray (rows, columns, 3) float32
-        Means over the pixel of u, v and coverage by the cloth (u and v are 0 off the cloth).
-    glossy : ndarray (rows, columns, 3) float32, optional
-        The part of the image reflected by the floor, if reflective.
-    """
-
+    # (2, rows, columns, 3) float32: linear light that comes from the lamp, and from the dome and
+    # background: red, green, blue. The image is the sum of the two
     radiance: np.ndarray
+    # (rows, columns, 3) float32: means over the pixel of u, v and coverage by the cloth (u and v
+    # are 0 off the cloth)
     uv: np.ndarray
+    # (rows, columns, 3) float32: the part of the image reflected by the floor, if reflective
     glossy: np.ndarray | None
 
 

@@ -16,7 +16,7 @@ from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.config.render import RenderSettings
 from slipstitch.images.camera import Camera, Pose, pose, turned
 from slipstitch.images.camera_file import read_camera_file
-from slipstitch.images.rectification import MeanCloth, lags_m
+from slipstitch.images.rectification import MeanCloth, Surface, cloth_surface, lags_m
 from slipstitch.physics.simulation.trajectory import Trajectory
 
 # Where the cloth can be, in units of its length: this far from under the clamps, at this share of
@@ -84,27 +84,14 @@ def cloth_size(trajectory: Trajectory) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class CalibratedView:
-    """A viewpoint over the course of the protocol.
+    """A viewpoint over the course of the protocol."""
 
-    Attributes
-    ----------
-    pose : Pose
-        Of the fixed camera.
-    pixels : int
-        Side of an image.
-    stage : callable
-        Time(s) -> places x and z of the clamps (m).
-    simulated_s : ndarray (n,)
-        Times of all frames, from the start of the stage's motion on.
-    size_m : tuple of float
-        Width and length of the cloth.
-    """
-
-    pose: Pose
-    pixels: int
+    pose: Pose  # of the fixed camera
+    pixels: int  # side of an image
+    # time(s) -> places x and z of the clamps (m)
     stage: Callable[[float | np.ndarray], tuple[np.ndarray, np.ndarray]]
-    simulated_s: np.ndarray
-    size_m: tuple[float, float]
+    simulated_s: np.ndarray  # (n,): times of all frames, from the start of the stage's motion on
+    size_m: tuple[float, float]  # width and length of the cloth
 
     @classmethod
     def of_trajectory(
@@ -129,6 +116,11 @@ class CalibratedView:
     def crop(self, time_s: float) -> Camera:
         """The image's camera at a time."""
         return crop_to(self.pose, self.room(time_s), self.pixels)
+
+    def seen(self, time_s: float) -> tuple[Camera, Surface]:
+        """The image's camera at a time, and the surface that its pixels are taken to show."""
+        crop = self.crop(time_s)
+        return crop, cloth_surface(crop, self.cloth(time_s))
 
     def cloth(self, time_s: float) -> MeanCloth:
         """Where the cloth is at a time, on average."""

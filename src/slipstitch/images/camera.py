@@ -24,48 +24,25 @@ POSE = ("yaw_deg", "pitch_deg", "roll_deg", "log_distance")
 
 @dataclass(frozen=True)
 class Lens:
-    """A lens that distorts, before a sensor.
+    """A lens that distorts, before a sensor."""
 
-    Attributes
-    ----------
-    size_px : tuple of int
-        Width, height.
-    matrix : ndarray (3, 3)
-        As of `Camera`.
-    distortion : ndarray (5,)
-        k1, k2, p1, p2, k3 of OpenCV.
-    """
-
-    size_px: tuple[int, int]
-    matrix: np.ndarray
-    distortion: np.ndarray
+    size_px: tuple[int, int]  # width, height
+    matrix: np.ndarray  # (3, 3): as of `Camera`
+    distortion: np.ndarray  # (5,): k1, k2, p1, p2, k3 of OpenCV
 
 
 @dataclass(frozen=True)
 class Camera:
-    """A camera: x_camera = rotation @ x_world + translation_m, z forward, y down.
+    """A camera: x_camera = rotation @ x_world + translation_m, z forward, y down."""
 
-    Attributes
-    ----------
-    rotation : ndarray (3, 3)
-        World to camera.
-    translation_m : ndarray (3,)
-    matrix : ndarray (3, 3)
-        Intrinsics in pixels; the centre of the first pixel is (0, 0), as in OpenCV.
-        May have two focal lengths (pixels that are not square), but no skew.
-    pixels : int
-        Columns of the image; rows too, unless `rows` says otherwise.
-    rows : int, optional
-        Rows of an image that is not square.
-    distortion : ndarray (5,), optional
-        k1, k2, p1, p2, k3 of OpenCV, of a real camera; None for a pinhole.
-    """
-
-    rotation: np.ndarray
-    translation_m: np.ndarray
+    rotation: np.ndarray  # (3, 3): world to camera
+    translation_m: np.ndarray  # (3,)
+    # (3, 3): intrinsics in pixels; the centre of the first pixel is (0, 0), as in OpenCV. May have
+    # two focal lengths (pixels that are not square), but no skew
     matrix: np.ndarray
-    pixels: int
-    rows: int | None = None
+    pixels: int  # columns of the image; rows too, unless `rows` says otherwise
+    rows: int | None = None  # rows of an image that is not square
+    # (5,): k1, k2, p1, p2, k3 of OpenCV, of a real camera; None for a pinhole
     distortion: np.ndarray | None = None
 
     @property

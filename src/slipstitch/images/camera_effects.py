@@ -19,24 +19,14 @@ _READ_NOISE = 0.1
 
 @dataclass(frozen=True)
 class CameraEffects:
-    """What one video's camera does to the light.
-
-    Attributes
-    ----------
-    exposure_stops : float
-    red, blue : float
-        Factors of the light; green stays.
-    noise : float
-        Standard deviation of the noise at full white, in linear light.
-    jpeg_quality : int
-        100 for images that are not compressed.
-    """
+    """What one video's camera does to the light."""
 
     exposure_stops: float = 0.0
+    # factors of the light; green stays
     red: float = 1.0
     blue: float = 1.0
-    noise: float = 0.0
-    jpeg_quality: int = 100
+    noise: float = 0.0  # standard deviation of the noise at full white, in linear light
+    jpeg_quality: int = 100  # 100 for images that are not compressed
 
     def record(self) -> dict:
         """The values as a mapping."""

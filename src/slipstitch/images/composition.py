@@ -30,59 +30,32 @@ _TEXTURE_BLURS = (0.35, 0.5, 0.7, 1.0)
 
 @dataclass(frozen=True)
 class MirroredRays:
-    """The rays that meet mirrored cloth, pixel by pixel, and the blur of what they see.
+    """The rays that meet mirrored cloth, pixel by pixel, and the blur of what they see."""
 
-    Attributes
-    ----------
-    uv : ndarray (N, 2)
-        Where on the cloth.
-    starts : ndarray (pixels^2 + 1,) int
-        The first ray of each pixel of the image and its margin.
-    weights : ndarray (L, pixels, pixels) float32
-        Of the blur.
-    squeeze : float
-    count : ndarray (pixels, pixels) float32
-        Number of rays, blurred.
-    margin : int
-    """
-
-    uv: np.ndarray
+    uv: np.ndarray  # (N, 2): where on the cloth
+    # (pixels^2 + 1,) int: the first ray of each pixel of the image and its margin
     starts: np.ndarray
-    weights: np.ndarray
+    weights: np.ndarray  # (L, pixels, pixels) float32: of the blur
     squeeze: float
-    count: np.ndarray
+    count: np.ndarray  # (pixels, pixels) float32: number of rays, blurred
     margin: int
 
 
 @dataclass(frozen=True)
 class Layers:
-    """One frame, ready to be composed with any texture.
+    """One frame, ready to be composed with any texture."""
 
-    Attributes
-    ----------
-    pixels : int
-        Side of the image.
-    still : ndarray (3, pixels^2)
-        Scene, first- and second-order light of what is not cloth, averaged over each pixel.
-    pixel : ndarray (N,) int
-        Pixel of each ray that meets the cloth, rising.
-    uv : ndarray (N, 2)
-        Where on the cloth.
-    light : ndarray (3, N)
-        Scene, first- and second-order light there, divided by the rays per pixel.
-    mirrored : ndarray (2, pixels^2), optional
-        First- and second-order light reflected by the floor.
-    rays : MirroredRays, optional
-        The cloth in its reflection.
-    """
-
-    pixels: int
+    pixels: int  # side of the image
+    # (3, pixels^2): scene, first- and second-order light of what is not cloth, averaged over each
+    # pixel
     still: np.ndarray
-    pixel: np.ndarray
-    uv: np.ndarray
+    pixel: np.ndarray  # (N,) int: pixel of each ray that meets the cloth, rising
+    uv: np.ndarray  # (N, 2): where on the cloth
+    # (3, N): scene, first- and second-order light there, divided by the rays per pixel
     light: np.ndarray
+    # (2, pixels^2): first- and second-order light reflected by the floor
     mirrored: np.ndarray | None = None
-    rays: MirroredRays | None = None
+    rays: MirroredRays | None = None  # the cloth in its reflection
 
 
 def join(shading: Shading, sight: Sight) -> Layers:
@@ -205,7 +178,6 @@ def _mirrored_albedo(rays: MirroredRays, texel: wp.array, texels: np.ndarray) ->
 
     Parameters
     ----------
-    rays : MirroredRays
     texel : Warp array (N,) int
         Number of each ray's texel.
     texels : ndarray (M, 3)

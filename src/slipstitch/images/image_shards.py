@@ -54,7 +54,6 @@ def render_shard(
 
     Parameters
     ----------
-    view : View
     out : path
         Parquet file, one row per image; written whole or not at all.
     pack_path : path, optional

@@ -44,20 +44,11 @@ _BRIGHTEST = 6e4
 
 @dataclass(frozen=True)
 class Pack:
-    """The light of a simulation from a viewpoint.
+    """The light of a simulation from a viewpoint."""
 
-    Attributes
-    ----------
-    metadata : dict
-        Simulation, viewpoint, cameras, surroundings.
-    shots : list of Shot
-    shadings : iterable of dict
-        As half-precision bytes, one a shot; may be run through only once.
-    """
-
-    metadata: dict
+    metadata: dict  # simulation, viewpoint, cameras, surroundings
     shots: list[Shot]
-    shadings: Iterable[dict]
+    shadings: Iterable[dict]  # as half-precision bytes, one a shot; may be run through only once
 
     @property
     def surroundings(self) -> Surroundings:
@@ -106,7 +97,6 @@ def shade(view: View, trajectory: Trajectory, progress=iter) -> Pack:
 
     Parameters
     ----------
-    view : View
     trajectory : Trajectory
         The view's.
     progress : callable
@@ -172,8 +162,6 @@ def read_pack(path: str | os.PathLike, view: View, trajectory: Trajectory) -> Pa
 
     Parameters
     ----------
-    path : path
-    view : View
     trajectory : Trajectory
         The view's.
 

@@ -62,18 +62,12 @@ class MeanCloth:
 
     It goes on beside the cloth: the floor behind, which another camera sees elsewhere or not at
     all, would break the image there.
-
-    Attributes
-    ----------
-    stage_x_m, stage_z_m : float
-        Place of the clamps.
-    lag_m : float
-        As of `lags_m`.
     """
 
+    # place of the clamps
     stage_x_m: float
     stage_z_m: float
-    lag_m: float
+    lag_m: float  # as of `lags_m`
 
     def seen(self, eye: np.ndarray, rays: np.ndarray) -> np.ndarray:
         """The first points (N, 3) on rays (N, 3) from an eye (3,); NaN where there is none."""
@@ -142,7 +136,6 @@ def in_stage_plane(crop: Camera, sideways_m: np.ndarray, height_m: np.ndarray) -
 
     Parameters
     ----------
-    crop : Camera
     sideways_m, height_m : ndarray
         From the middle between the clamps, and above the floor; broadcast against each other.
     """

@@ -43,43 +43,21 @@ _GUIDED_EDGE = 1e-3
 
 @dataclass(frozen=True)
 class MirroredSight:
-    """The reflection in the floor, in the image and a margin around it.
+    """The reflection in the floor, in the image and a margin around it."""
 
-    Attributes
-    ----------
-    camera : Camera
-        Of the image without margin.
-    margin : int
-        Pixels on every side.
-    rays : int
-        Along each side of a pixel.
-    seen : ndarray (N,) int
-        Flat numbers of the rays that meet mirrored cloth on floor that they see, rising.
-    uv : ndarray (N, 2)
-        Where on the cloth.
-    lying : ndarray (N,) bool
-        Whether the cloth lies on the floor there; its underside is dark.
-    bare : ndarray (rays pixels, rays pixels) bool
-        The rays that see the floor.
-    width : ndarray (pixels, pixels) float32
-        The parameter of the blur, upwards in pixels, carried on where nothing is mirrored.
-    squeeze : float
-        The blur's sideward width over its upward one.
-    surroundings : Surroundings
-        The floor's look and the lamp's place.
-    floor_z_m : float
-    """
-
-    camera: Camera
-    margin: int
-    rays: int
+    camera: Camera  # of the image without margin
+    margin: int  # pixels on every side
+    rays: int  # along each side of a pixel
+    # (N,) int: flat numbers of the rays that meet mirrored cloth on floor that they see, rising
     seen: np.ndarray
-    uv: np.ndarray
-    lying: np.ndarray
-    bare: np.ndarray
+    uv: np.ndarray  # (N, 2): where on the cloth
+    lying: np.ndarray  # (N,) bool: whether the cloth lies on the floor there; its underside is dark
+    bare: np.ndarray  # (rays pixels, rays pixels) bool: the rays that see the floor
+    # (pixels, pixels) float32: the parameter of the blur, upwards in pixels, carried on where
+    # nothing is mirrored
     width: np.ndarray
-    squeeze: float
-    surroundings: Surroundings
+    squeeze: float  # the blur's sideward width over its upward one
+    surroundings: Surroundings  # the floor's look and the lamp's place
     floor_z_m: float
 
 
@@ -101,7 +79,6 @@ def mirrored_sight(
         The cloth's mesh.
     floor_m : ndarray (4, 3)
         Corners of the mirror, all at the same height.
-    surroundings : Surroundings
     cloth : Visibility
         What the image's rays see of the cloth itself.
     camera : Camera
@@ -157,21 +134,11 @@ def _carried_on(pixel: np.ndarray, values: np.ndarray, side: int) -> np.ndarray:
 
 @dataclass(frozen=True)
 class MirrorShares:
-    """The reflected scene at each pixel of the shading render.
+    """The reflected scene at each pixel of the shading render."""
 
-    Attributes
-    ----------
-    cloth : ndarray (H, W) float32
-        The cloth's share of it.
-    lit : ndarray (H, W) float32
-        That of cloth that does not lie on the floor.
-    width : ndarray (H, W) float32
-        Parameter of the blur, upwards in pixels.
-    """
-
-    cloth: np.ndarray
-    lit: np.ndarray
-    width: np.ndarray
+    cloth: np.ndarray  # (H, W) float32: the cloth's share of it
+    lit: np.ndarray  # (H, W) float32: that of cloth that does not lie on the floor
+    width: np.ndarray  # (H, W) float32: parameter of the blur, upwards in pixels
 
 
 def mirror_shares(sight: MirroredSight, cells: int) -> MirrorShares:
@@ -236,7 +203,6 @@ def smooth_mirrored_light(
     light : ndarray (C, H, W)
     where : ndarray (H, W) bool
         The pixels that see nothing but floor.
-    shares : MirrorShares
     squeeze : float
         Of the mirrored sight.
     """

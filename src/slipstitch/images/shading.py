@@ -54,42 +54,24 @@ _CLOTH_NEARBY = 0.06
 
 @dataclass(frozen=True)
 class Sight:
-    """Visibility of the rays of one frame.
+    """Visibility of the rays of one frame."""
 
-    Attributes
-    ----------
-    rays : int
-        Along each side of a pixel.
-    cloth : Visibility
-        Of the rays.
-    floor : ndarray (rays pixels, rays pixels) bool
-        The rays that see the floor.
-    mirrored : MirroredSight, optional
-        On a reflective floor.
-    """
-
-    rays: int
-    cloth: Visibility
-    floor: np.ndarray
-    mirrored: MirroredSight | None
+    rays: int  # along each side of a pixel
+    cloth: Visibility  # of the rays
+    floor: np.ndarray  # (rays pixels, rays pixels) bool: the rays that see the floor
+    mirrored: MirroredSight | None  # on a reflective floor
 
 
 @dataclass(frozen=True)
 class Shading:
-    """One frame's light, separated and smoothed: all that composing needs of Blender.
+    """One frame's light, separated and smoothed: all that composing needs of Blender."""
 
-    Attributes
-    ----------
-    still : ndarray (3, pixels, pixels)
-        Scene, first- and second-order light of what is not cloth, averaged over each pixel.
-    cloth : ndarray (3, 2 pixels, 2 pixels)
-        The same of the cloth, where there is any.
-    mirrored : ndarray (2, pixels, pixels), optional
-        First- and second-order light reflected by the floor (its scene light is in `still`).
-    """
-
+    # (3, pixels, pixels): scene, first- and second-order light of what is not cloth, averaged over
+    # each pixel
     still: np.ndarray
-    cloth: np.ndarray
+    cloth: np.ndarray  # (3, 2 pixels, 2 pixels): the same of the cloth, where there is any
+    # (2, pixels, pixels): first- and second-order light reflected by the floor (its scene light is
+    # in `still`)
     mirrored: np.ndarray | None = None
 
 

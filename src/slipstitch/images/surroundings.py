@@ -29,18 +29,10 @@ LAMP_POSITION_M = (0.80, -0.50, 1.00)
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Floor and lamp of one simulation.
+    """Floor and lamp of one simulation."""
 
-    Attributes
-    ----------
-    floor : str
-        Name in the catalogue.
-    albedo, reflectance, roughness : float
-        As drawn, see `slipstitch.config.catalogue.Floor`.
-    lamp_position_m : tuple of float
-    """
-
-    floor: str = "matte"
+    floor: str = "matte"  # name in the catalogue
+    # as drawn, see `slipstitch.config.catalogue.Floor`
     albedo: float = 0.22
     reflectance: float = 0.0
     roughness: float = 0.0

@@ -95,8 +95,6 @@ def compare(
 
     Parameters
     ----------
-    config : Config
-    shard : path
     row : int
         Of the shard.
     trajectory_path, pack_path : path

@@ -49,32 +49,18 @@ class Shot:
 
 @dataclass(frozen=True)
 class View:
-    """One simulation from one viewpoint.
+    """One simulation from one viewpoint."""
 
-    Attributes
-    ----------
-    trajectory_path : path
-        Its name without suffix is the simulation's id.
-    viewpoint_id, viewpoint : str
-        As the rows call it, and its name in the catalogue.
-    settings : RenderSettings
-    frames_sampled : int
-        How many frames the sample stage uses.
-    seed : int
-        The configuration's.
-    interpolation : Interpolation, optional
-        Of simulations in the trajectory's folder: the film shows it, not the trajectory as it is.
-    textures : mapping
-        Id -> name of the textures that the cloth wears, on which the light does not depend.
-    """
-
-    trajectory_path: str | os.PathLike
+    trajectory_path: str | os.PathLike  # its name without suffix is the simulation's id
+    # as the rows call it, and its name in the catalogue
     viewpoint_id: str
     viewpoint: str
     settings: RenderSettings
-    frames_sampled: int
-    seed: int
+    frames_sampled: int  # how many frames the sample stage uses
+    seed: int  # the configuration's
+    # of simulations in the trajectory's folder: the film shows it, not the trajectory as it is
     interpolation: Interpolation | None = None
+    # id -> name of the textures that the cloth wears, on which the light does not depend
     textures: Mapping[str, str] = field(default_factory=dict)
 
     @classmethod

@@ -47,21 +47,11 @@ def ray_places(x: np.ndarray, y: np.ndarray, tile: int) -> tuple[np.ndarray, np.
 
 @dataclass(frozen=True)
 class Visibility:
-    """Visibility of a camera's rays, one ray per pixel.
+    """Visibility of a camera's rays, one ray per pixel."""
 
-    Attributes
-    ----------
-    seen : ndarray (N,) int
-        Flat numbers of the pixels whose ray meets the cloth, rising.
-    uv : ndarray (N, 2) float64
-        Texture coordinates there.
-    depth_m : ndarray (N,) float64
-        Along the optical axis.
-    """
-
-    seen: np.ndarray
-    uv: np.ndarray
-    depth_m: np.ndarray
+    seen: np.ndarray  # (N,) int: flat numbers of the pixels whose ray meets the cloth, rising
+    uv: np.ndarray  # (N, 2) float64: texture coordinates there
+    depth_m: np.ndarray  # (N,) float64: along the optical axis
 
 
 def visible_cloth(
@@ -76,7 +66,6 @@ def visible_cloth(
     faces : ndarray (F, 3) int
     uv : ndarray (V, 2)
         Interpolated over each triangle with perspective.
-    camera : Camera
     tile : int
         4 or 8, see `ray_places`.
 

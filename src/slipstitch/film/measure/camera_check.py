@@ -10,41 +10,29 @@ from matplotlib.figure import Figure
 from slipstitch.base.page.figures import new_figure, styled
 from slipstitch.base.page.palette import BLUE, INK, SOFT, VERMILION
 from slipstitch.film.measure import SHIPPED
-from slipstitch.film.measure.measuring_bench import trained_with
+from slipstitch.film.measure.measuring_bench import MeasuringBench, opened_bench
 from slipstitch.film.stage_video import problem_of_view, seen_shares
 from slipstitch.images.bench_camera import BenchCamera
-from slipstitch.images.camera import AIM_M, POSE, relative_pose
-from slipstitch.images.camera_file import read_camera_file
-from slipstitch.learning.instrument.measuring import CARD, load_instrument
+from slipstitch.images.camera import AIM_M, POSE
+from slipstitch.learning.instrument.measuring import CARD
 from slipstitch.learning.instrument.poses import TITLES, TOLERANCE, in_words, just_beyond, outside
 
 
 @dataclass(frozen=True)
 class CameraCheck:
-    """A camera against the poses of an instrument's training.
+    """A camera against the poses of an instrument's training."""
 
-    Attributes
-    ----------
-    pose : dict
-        Pose of the camera relative to the calibrated viewpoint (`slipstitch.images.camera.POSE`).
-    tested : dict
-        Least and largest of each number.
-    viewpoint : tuple of ndarray
-        Rotation and translation of the calibrated viewpoint.
-    seen : float
-        Smallest share of a crop along the track that the camera sees.
-    outside : list of str
-        What lies outside the range or the image, in words; empty: the camera may be used.
-    read : tuple of path
-        Files that this was read from.
-    """
-
-    pose: dict[str, float]
-    tested: dict[str, list[float]]
-    viewpoint: tuple[np.ndarray, np.ndarray]
-    seen: float
+    bench: MeasuringBench
+    tested: dict[str, list[float]]  # least and largest of each number of the pose
+    seen: float  # smallest share of a crop along the track that the camera sees
+    # what lies outside the range or the image, in words; empty: the camera may be used
     outside: list[str]
-    read: tuple[Path, ...]
+    read: tuple[Path, ...]  # files that this was read from
+
+    @property
+    def pose(self) -> dict[str, float]:
+        """Pose of the camera relative to the calibrated viewpoint."""
+        return self.bench.pose
 
     def lines(self) -> list[str]:
         """The result for a terminal."""
@@ -66,36 +54,19 @@ def check_camera(
 ) -> CameraCheck:
     """Compare a camera's place with an instrument's training poses, its view with the track.
 
-    Parameters
-    ----------
-    camera : path
-        The camera file.
-    model : path, optional
-        The instrument's folder; by default the instrument that comes with Slipstitch.
-    config : path, optional
-        What the instrument was trained with; by default the nearest ``config.json`` above it.
-
-    Raises
-    ------
-    BadInput
-        If a file cannot be used.
+    Camera, model and configuration as for `measuring_bench`; BadInput if a file cannot be used.
     """
-    lens = read_camera_file(camera)
-    model = model or SHIPPED
-    instrument = load_instrument(model)
-    config_path, schedule, _ = trained_with(instrument, model, config)
-    card = Path(model) if Path(model).is_file() else Path(model) / CARD
-    pose = relative_pose(lens.pose, schedule.pose)
-    tested = instrument.card.get("pose_range") or {name: [0.0, 0.0] for name in POSE}
-    shares = seen_shares(lens, schedule)
-    problems = [*outside(pose, tested), problem_of_view(lens, schedule, shares)]
+    bench = opened_bench(camera, model, config)
+    model = Path(model or SHIPPED)
+    tested = bench.pose_range or {name: [0.0, 0.0] for name in POSE}
+    shares = seen_shares(bench.lens, bench.schedule)
+    problems = [*outside(bench.pose, tested), problem_of_view(bench.lens, bench.schedule, shares)]
     return CameraCheck(
-        pose,
+        bench,
         tested,
-        schedule.pose,
         float(shares.min()),
         list(filter(None, problems)),
-        (Path(camera), config_path, card),
+        (Path(camera), bench.config_path, model if model.is_file() else model / CARD),
     )
 
 
@@ -108,7 +79,7 @@ def check_figure(check: CameraCheck) -> Figure:
     colour = VERMILION if check.outside else INK
 
     def eye(**pose) -> np.ndarray:
-        rotation, translation_m = BenchCamera(**pose).pose(*check.viewpoint)
+        rotation, translation_m = BenchCamera(**pose).pose(*check.bench.schedule.pose)
         return -rotation.T @ translation_m
 
     def limits(name: str, margin: float) -> tuple[float, float]:

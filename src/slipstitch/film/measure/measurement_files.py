@@ -33,18 +33,10 @@ COMBINED = "combined"  # the name of the last row
 
 @dataclass(frozen=True)
 class MeasuredPair:
-    """Videos of one pair of fabric and substrate.
+    """Videos of one pair of fabric and substrate."""
 
-    Attributes
-    ----------
-    videos : list of MeasuredVideo
-        At least one; no two have the same name.
-    refused : dict
-        Name of each of the other videos -> why it could not be measured.
-    """
-
-    videos: list[MeasuredVideo]
-    refused: dict[str, str]
+    videos: list[MeasuredVideo]  # at least one; no two have the same name
+    refused: dict[str, str]  # name of each of the other videos -> why it could not be measured
 
     @cached_property
     def used(self) -> list[int]:
@@ -178,7 +170,6 @@ def measured_pair(
     ----------
     videos : sequence of path
         At least one, each once.
-    bench : MeasuringBench
     start_s, frame_rate_hz : float, optional
         As for `MeasuringBench.measure`.
 

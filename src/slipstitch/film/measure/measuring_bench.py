@@ -32,45 +32,24 @@ _OUTSIDE = "the pose of the camera is outside the training range of the instrume
 
 @dataclass(frozen=True)
 class MeasuredVideo:
-    """A measurement with the frames that it rests on.
+    """A measurement with the frames that it rests on."""
 
-    Attributes
-    ----------
-    name : str
-        Of the video file.
-    video : StageVideo
-    measurement : Prediction
-    uncertainty : float
-        Half the width of the middle 68 % of the distribution, stretched as its interval is.
-    instrument : str
-        What identifies the instrument: the digest of its weights, if its card has one.
-    stage_path : StagePath
-        As the instrument's configuration has it.
-    without_error_bar : str
-        Why the interval is the whole grid; empty where it is not.
-    caveats : tuple of str
-        What an error bar of the instrument does not cover.
-    outside : tuple of str
-        Where the camera's pose is outside the training range, in words.
-    floors : tuple of str
-        Floors of the training.
-    pose_range : dict, optional
-        Least and largest of each number of the training poses.
-    keypoints_px : ndarray, shape (frames, points, 2), optional
-        Where the instrument sees the cloth's keypoints in the frames, if it learnt to.
-    """
-
-    name: str
+    name: str  # of the video file
     video: StageVideo
     measurement: Prediction
+    # half the width of the middle 68 % of the distribution, stretched as its interval is
     uncertainty: float
+    # what identifies the instrument: the digest of its weights, if its card has one
     instrument: str
-    stage_path: StagePath
-    without_error_bar: str = ""
-    caveats: tuple[str, ...] = ()
-    outside: tuple[str, ...] = ()
-    floors: tuple[str, ...] = ()
+    stage_path: StagePath  # as the instrument's configuration has it
+    without_error_bar: str = ""  # why the interval is the whole grid; empty where it is not
+    caveats: tuple[str, ...] = ()  # what an error bar of the instrument does not cover
+    outside: tuple[str, ...] = ()  # where the camera's pose is outside the training range, in words
+    floors: tuple[str, ...] = ()  # floors of the training
+    # least and largest of each number of the training poses
     pose_range: dict[str, list[float]] | None = None
+    # (frames, points, 2): where the instrument sees the cloth's keypoints in the frames, if it
+    # learnt to
     keypoints_px: np.ndarray | None = None
 
     @property
@@ -134,24 +113,13 @@ class MeasuredVideo:
 
 @dataclass(frozen=True)
 class MeasuringBench:
-    """An instrument behind a camera: what all videos of one place share.
-
-    Attributes
-    ----------
-    lens : Camera
-    instrument : Instrument
-    config_path : path
-        The configuration that told which frames to take.
-    schedule : Schedule
-    floors : tuple of str
-        Floors of the training.
-    """
+    """An instrument behind a camera: what all videos of one place share."""
 
     lens: Camera
     instrument: Instrument
-    config_path: Path
+    config_path: Path  # the configuration that told which frames to take
     schedule: Schedule
-    floors: tuple[str, ...]
+    floors: tuple[str, ...]  # floors of the training
 
     @property
     def pose_range(self) -> dict[str, list[float]] | None:
@@ -185,7 +153,6 @@ class MeasuringBench:
 
         Parameters
         ----------
-        path : path
         start_s, frame_rate_hz : float, optional
             See `slipstitch.film.stage_video.read_stage_video`.
 
@@ -242,7 +209,7 @@ def measuring_bench(
     threads: int = 2,
     force: bool = False,
 ) -> MeasuringBench:
-    """Read the camera, the instrument and what it was trained with.
+    """Read the camera, the instrument and what it was trained with; refuse what cannot be used.
 
     Parameters
     ----------
@@ -262,18 +229,16 @@ def measuring_bench(
         If a file cannot be used, or the camera stands outside the poses of the training, or does
         not see the track, or too coarsely.
     """
-    lens = read_camera_file(camera)
-    model = model or SHIPPED
-    instrument = load_instrument(model)
-    config_path, schedule, floors = trained_with(instrument, model, config)
-    bench = MeasuringBench(lens, instrument, config_path, schedule, floors)
+    bench = opened_bench(camera, model, config)
     if bench.outside and not force:
         raise BadInput(
             f"{camera}: {_OUTSIDE}: {'; '.join(bench.outside)}; see `slipstitch capture check`; "
             "--force measures anyway, with an alarm"
         )
     # Before any film is read: in one, such a camera would find no start of the stage's motion.
-    if problem := problem_of_view(lens, schedule, seen_shares(lens, schedule)):
+    if problem := problem_of_view(
+        bench.lens, bench.schedule, seen_shares(bench.lens, bench.schedule)
+    ):
         raise BadInput(f"{camera}: {problem}; see `slipstitch capture check`")
     # Deterministic algorithms matter to training only; asking for them would load torch's compiler,
     # which takes longer than the measurement.
@@ -281,10 +246,12 @@ def measuring_bench(
     return bench
 
 
-def trained_with(
-    instrument: Instrument, model: str | os.PathLike, config: str | os.PathLike | None
-) -> tuple[Path, Schedule, tuple[str, ...]]:
-    """The configuration that an instrument was trained with, its frames and its floors."""
+def opened_bench(
+    camera: str | os.PathLike, model: str | os.PathLike | None, config: str | os.PathLike | None
+) -> MeasuringBench:
+    """Read what `measuring_bench` reads, wherever the camera stands."""
+    lens, model = read_camera_file(camera), model or SHIPPED
+    instrument = load_instrument(model)
     config_path = _config_of(model, config)
     settings = load_config(config_path)
     frames, sampled = int(instrument.card["frames"]), settings.sample.frames
@@ -299,7 +266,7 @@ def trained_with(
     floors = list(settings.render.floors)
     if instrument.card.get("split") == REFLECTIVE:
         floors += settings.render.reflective_floors
-    return config_path, schedule, tuple(dict.fromkeys(floors))
+    return MeasuringBench(lens, instrument, config_path, schedule, tuple(dict.fromkeys(floors)))
 
 
 def _config_of(model: str | os.PathLike, given: str | os.PathLike | None) -> Path:

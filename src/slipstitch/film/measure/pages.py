@@ -52,7 +52,6 @@ def measurement_page(result: MeasuredVideo, known: dict[str, Any] | None = None)
 
     Parameters
     ----------
-    result : MeasuredVideo
     known : dict, optional
         Of the example: the true fabric, substrate and friction.
     """

@@ -23,23 +23,12 @@ OUTLIER_CHANCE = 0.05  # of naming any video of a pair, where none is an outlier
 
 @dataclass(frozen=True)
 class Repeats:
-    """Combined result of n videos of one pair.
+    """Combined result of n videos of one pair."""
 
-    Attributes
-    ----------
-    friction_coefficient : float
-        Mean over the videos.
-    interval_90 : tuple of float
-        (low, high), within the instrument's grid.
-    scatter : float
-        Standard deviation between the videos (posterior median); NaN for one video.
-    outliers : list of int
-        Videos that the others did not lead one to expect; they count in the mean all the same.
-    """
-
-    friction_coefficient: float
-    interval_90: tuple[float, float]
-    scatter: float
+    friction_coefficient: float  # mean over the videos
+    interval_90: tuple[float, float]  # (low, high), within the instrument's grid
+    scatter: float  # standard deviation between the videos (posterior median); NaN for one video
+    # videos that the others did not lead one to expect; they count in the mean all the same
     outliers: list[int]
 
 
