@@ -220,15 +220,10 @@ def _fine(folder):
         (_bare_floor, [], "floor.png: no board found in it"),
         (_fine, ["--squares", "9x7"], "one odd and one even number"),
         (_fine, ["--squares", "board"], "must be width x height, at least 4x4"),
-        (_fine, ["--squares", "9" * 20 + "x10"], "at most 100x100"),
         (_fine, ["--squares", "9" * 5000 + "x10"], "at most 100x100"),
-        (_fine, ["--square-mm", "-1"], "--square-mm: -1; must be greater than 0"),
         (_fine, ["--square-mm", "inf"], "--square-mm: inf; must be greater than 0.1 and at most"),
-        (_fine, ["--square-mm", "1e-300"], "--square-mm: 1e-300; must be greater than 0.1"),
         (_fine, ["--place-mm", "nan", "0"], "--place-mm: nan; must be from -10000 to 10000"),
-        (_fine, ["--place-mm", "0", "inf"], "--place-mm: inf; must be from -10000 to 10000"),
         (_fine, ["--angle-deg", "nan"], "--angle-deg: nan; must be from -360 to 360"),
-        (_fine, ["--thickness-mm", "inf"], "--thickness-mm: inf; must be from -1000 to 1000"),
         (_fine, ["--board", "charuco"], "required for a ChArUco board, smaller than its squares"),
         (_fine, ["--stage-view", "none.png"], "none.png: no such file"),
     ],
@@ -244,19 +239,6 @@ def test_bad_input_is_one_clear_line(work, tmp_path, capsys, damage, words, mess
     assert not (tmp_path / "bad.json").exists()
 
 
-def test_a_video_without_a_board_is_one_clear_line(tmp_path, capsys):
-    path = tmp_path / "empty.avi"
-    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 5, bench.SIZE)
-    for level in range(0, 200, 20):
-        video.write(np.full((*bench.SIZE[::-1], 3), level, np.uint8))
-    video.release()
-    words = ["--out", str(tmp_path / "camera.json")]
-    assert main(["capture", "camera", str(path), *CHECKERBOARD, *words]) == 2
-    assert "empty.avi: no checkerboard of 10x7 squares in any of 10 frame(s)" in (
-        capsys.readouterr().err
-    )
-
-
 @pytest.mark.parametrize(("frames", "looked_at"), [(60, 60), (61, 31), (119, 60), (121, 41)])
 def test_of_a_video_sixty_frames_at_most_are_looked_at(tmp_path, frames, looked_at):
     path = tmp_path / "empty.avi"
@@ -266,14 +248,6 @@ def test_of_a_video_sixty_frames_at_most_are_looked_at(tmp_path, frames, looked_
     video.release()
     with pytest.raises(BadInput, match=rf"in any of {looked_at} frame"):
         read_views([path], Board((10, 7), 0.02))
-
-
-def test_what_is_no_video_is_one_clear_line(tmp_path, capsys):
-    path = tmp_path / "text.mp4"
-    path.write_text("no video")
-    words = ["--out", str(tmp_path / "camera.json")]
-    assert main(["capture", "camera", str(path), *CHECKERBOARD, *words]) == 2
-    assert "text.mp4: a text file, not a video" in capsys.readouterr().err
 
 
 AT_THE_TRACK = {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "translation_m": [-0.15, 0, -0.07]}

@@ -148,24 +148,13 @@ def test_an_image_file_is_a_texture(work, tmp_path):
     assert any(name.endswith("mine.png") for name in inputs)
 
 
-def _no_image(folder):
-    (folder / "bad.png").write_text("not an image")
-    return {"textures": [str(folder / "bad.png")]}
-
-
-def _no_file(folder):
-    return {"textures": [str(folder / "none.jpg")]}
-
-
 @pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        (_no_image, "bad.png: not an image file, or a damaged image"),
-        (_no_file, "none.jpg: no such texture file"),
-    ],
+    ("file", "message"),
+    [("bad.png", "bad.png: not an image file, or a damaged"), ("none.jpg", "no such texture file")],
 )
-def test_a_texture_that_is_no_image_is_one_clear_line(work, tmp_path, capsys, change, message):
-    configure(work, "bad.json", **change(tmp_path))
+def test_a_texture_that_is_no_image_is_one_clear_line(work, tmp_path, capsys, file, message):
+    (tmp_path / "bad.png").write_text("not an image")
+    configure(work, "bad.json", textures=[str(tmp_path / file)])
     assert main(compose_words(work, "v00", config="bad.json", out_dir="bad")) == 2
     error = capsys.readouterr().err
     assert error.count("\n") == 1
@@ -173,20 +162,18 @@ def test_a_texture_that_is_no_image_is_one_clear_line(work, tmp_path, capsys, ch
     assert not (work / "bad").exists() or not list((work / "bad").iterdir())
 
 
-def test_a_pack_of_another_trajectory_is_one_clear_line(work, tmp_path, capsys):
-    motion = synthetic_cloth.motion(12, n=11, frame_rate_hz=0.2)
-    write_trajectory(tmp_path / f"{ONE}.parquet", Trajectory(**motion))
+@pytest.mark.parametrize("option", ["--trajectory", "--from-shading"])
+def test_what_is_no_pack_of_the_trajectory_is_one_clear_line(work, tmp_path, capsys, option):
+    other = Trajectory(**synthetic_cloth.motion(12, n=11, frame_rate_hz=0.2))
+    write_trajectory(tmp_path / f"{ONE}.parquet", other)
+    given, message = {
+        "--trajectory": (tmp_path / f"{ONE}.parquet", "not rendered from"),
+        "--from-shading": (work / "images" / f"{ONE}_v00.parquet", "not a shading pack"),
+    }[option]
     words = compose_words(work, "v00")
-    words[words.index("--trajectory") + 1] = str(tmp_path / f"{ONE}.parquet")
+    words[words.index(option) + 1] = str(given)
     assert main(words) == 2
-    assert "not rendered from" in capsys.readouterr().err
-
-
-def test_what_is_no_pack_is_one_clear_line(work, capsys):
-    words = compose_words(work, "v00")
-    words[words.index("--from-shading") + 1] = str(work / "images" / f"{ONE}_v00.parquet")
-    assert main(words) == 2
-    assert "not a shading pack" in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
 def verify(work, out, shards="images"):
@@ -209,9 +196,9 @@ def test_a_sample_of_the_dataset_is_compared_with_direct_renders(work, capsys):
     assert read_sidecar(out)["stage"] == "render"
 
 
-@pytest.mark.slow
 def test_an_image_unlike_the_direct_one_fails_the_verification(work, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(verification, "LEAST_PSNR_DB", {False: 99.0, True: 99.0})
+    monkeypatch.setattr(verification, "SAMPLES", {True: 1})
     assert verify(work, tmp_path / "verification.json") == 1
     error = capsys.readouterr().err
     assert "floor stainless-steel" in error
@@ -219,8 +206,8 @@ def test_an_image_unlike_the_direct_one_fails_the_verification(work, tmp_path, c
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.slow
-def test_an_altered_image_fails_the_verification(work, tmp_path, capsys):
+def test_an_altered_image_fails_the_verification(work, tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(verification, "SAMPLES", {True: 1})
     for view in ("v00", "v01"):
         path = work / "images" / f"{ONE}_{view}.parquet"
         table = pq.read_table(path)

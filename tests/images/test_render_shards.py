@@ -136,14 +136,6 @@ def test_a_shard_tells_where_nine_points_of_the_cloth_are(work):
         np.testing.assert_allclose(np.reshape(places, (9, 3)), expected, atol=6e-6)
 
 
-def test_equal_inputs_give_equal_pixels(work):
-    assert render(work, "--viewpoint", "v01", out="again.parquet") == 0
-    first, again = images(work / "v01.parquet"), images(work / "again.parquet")
-    assert first.keys() == again.keys()
-    for key, image in first.items():
-        np.testing.assert_array_equal(image, again[key])
-
-
 def test_a_viewpoint_can_be_given_by_name(work, capfd):
     assert render(work, "--viewpoint", "frontal", out="frontal.parquet") == 0
     assert set(pq.read_table(work / "frontal.parquet")["viewpoint"].to_pylist()) == {"frontal"}
@@ -173,13 +165,6 @@ def test_the_calibrated_viewpoint_stands_where_the_camera_file_says(work):
         assert len(metadata["provenance"]["inputs"]) == 2
     assert render(work, "--config", str(over), "--viewpoint", "side", out="camera.parquet") == 0
     assert len(read_metadata(work / "camera.parquet")["provenance"]["inputs"]) == 1
-
-
-def test_a_camera_file_that_is_none_is_one_clear_line(work, capsys):
-    over = work / "no_camera.yaml"
-    over.write_text("render: {camera: nowhere.json}\n")
-    assert render(work, "--config", str(over), "--viewpoint", "calibrated", out="bad.parquet") == 2
-    assert "nowhere.json: no such file" in capsys.readouterr().err
 
 
 def test_every_frame_can_be_rendered_each_in_a_crop_of_its_own(work):

@@ -9,18 +9,14 @@ from slipstitch.images.textures import texture, worn_texture
 
 
 @pytest.mark.parametrize("name", TEXTURES)
-def test_albedos_are_those_of_cloth(name):
+def test_a_texture_is_the_same_every_time_with_albedos_of_cloth(name):
     albedo = texture(name)
     assert albedo.shape == (512, 512, 3)
     assert albedo.min() >= np.float32(0.02)
     assert albedo.max() <= np.float32(0.8)
     # There is a pattern to follow, in luminance, not only in hue.
     assert (albedo @ [0.2126, 0.7152, 0.0722]).std() > 0.02
-
-
-@pytest.mark.parametrize("name", TEXTURES)
-def test_a_texture_is_the_same_every_time(name):
-    np.testing.assert_array_equal(texture.__wrapped__(name), texture(name))
+    np.testing.assert_array_equal(texture.__wrapped__(name), albedo)
 
 
 def test_textures_differ():
@@ -34,7 +30,7 @@ def test_a_texture_that_is_not_there_is_bad_input():
         texture("plaid")
 
 
-@pytest.mark.parametrize("number", range(40))
+@pytest.mark.parametrize("number", range(12))
 def test_drawn_cloths_have_albedos_that_cloth_can_have(number):
     albedo = texture(f"cloth_1:{number}")
     assert albedo.shape == (512, 512, 3) and albedo.dtype == np.float32

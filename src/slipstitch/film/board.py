@@ -263,17 +263,7 @@ def _squares_seen(grey: np.ndarray) -> tuple[int, int] | None:
 
 
 def check_size(board: Board, grey: np.ndarray, name: str) -> None:
-    """Refuse a checkerboard that is part of a larger one: its first corner would be another.
-
-    Parameters
-    ----------
-    board : Board
-        As stated.
-    grey : ndarray (rows, columns) uint8
-        An image in which it was found.
-    name : str
-        Of the image.
-    """
+    """Refuse a checkerboard that is part of a larger one: its first corner would be another."""
     if board.marker_m or (seen := _squares_seen(grey)) is None:
         return
     if min(seen) > min(board.squares) or max(seen) > max(board.squares):

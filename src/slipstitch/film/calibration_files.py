@@ -67,18 +67,7 @@ def import_to_file(
 ) -> str:
     """Take a lens from another program's calibration, write a camera file, say what was read.
 
-    Parameters
-    ----------
-    source : path
-        See `slipstitch.images.camera_file.read_foreign_lens`.
-    board, stage_view, place, out
-        As for `calibrate_to_file`; without a stage view, the file does not say where the camera
-        stands.
-
-    Raises
-    ------
-    BadInput
-        If the calibration or the stage view cannot be used.
+    As `calibrate_to_file`; without a stage view, the file does not say where the camera stands.
     """
     started = start_clock()
     lens = read_foreign_lens(source)

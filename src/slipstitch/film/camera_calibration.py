@@ -209,15 +209,7 @@ class StagePose:
 def stage_pose(
     lens: Lens, grey: np.ndarray, board: Board, place: FloorPlace, name: str
 ) -> StagePose:
-    """Return the position of a camera, from one image of the board lying on the floor.
-
-    Parameters
-    ----------
-    grey : ndarray (rows, columns) uint8
-    place : FloorPlace
-        Where the board lies.
-    name : str
-        Of the image.
+    """Return the position of a camera, from one image (rows, columns) of the board on the floor.
 
     Raises
     ------

@@ -159,16 +159,8 @@ def captures_page(
 ) -> str:
     """Return the page as HTML; it needs no other file.
 
-    Parameters
-    ----------
-    dataset : path
-        Of the captures, for their pictures.
-    known : sequence of mapping
-        The captures.
-    found : sequence of mapping
-        Predictions, as `predict_captures` makes them.
-    step : float
-        Of the grid of friction.
+    From the dataset of the captures, for their pictures, the captures, the predictions of
+    `predict_captures`, their metrics, and the step of the grid of friction.
     """
     columns = metrics_of(OF_CAPTURES)
     return render(

@@ -50,12 +50,7 @@ def label(row: Row) -> str:
 def pair_medians(rows: Sequence[Row], step: float) -> list[dict[str, Any]]:
     """Return a row per pair: reference, predictions of the repeats, their median and its error.
 
-    Parameters
-    ----------
-    rows : sequence of mapping
-        Predictions of one model and seed.
-    step : float
-        Of the grid of mu.
+    Of one model's and seed's predictions; `step` is the grid's of mu.
     """
     result = []
     for pair, repeats in sorted(grouped(rows, "pair").items()):

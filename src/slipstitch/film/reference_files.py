@@ -37,15 +37,7 @@ COLUMNS = (
 def reference_to_files(
     table: Path, out: Path, details: Path | None, picture: Path | None
 ) -> list[Reference]:
-    """Estimate every pair of a table of slip angles, and write what is asked for.
-
-    Parameters
-    ----------
-    table : path
-        As `slipstitch.film.slip_angles.read_angles` reads it, with its errors.
-    out, details, picture : path
-        CSV, JSON, PNG or SVG; the last two may be None.
-    """
+    """Estimate every pair of a table of slip angles; write a CSV, and JSON and picture if asked."""
     started = start_clock()
     found = [(angles, estimate(angles)) for angles in read_angles(table)]
     references = [pair for _, pair in found]

@@ -83,12 +83,7 @@ class TimeBase:
 class StageFollower:
     """Finds the cloth's upper edge along the track, frame by frame.
 
-    Parameters
-    ----------
-    lens : Camera
-        The real camera.
-    crop : Camera
-        Of the calibrated viewpoint at the start.
+    Of the real camera, and the calibrated viewpoint's crop at the start.
     """
 
     def __init__(self, lens: Camera, crop: Camera, path: StagePath):
@@ -111,15 +106,10 @@ class StageFollower:
         self._thumbnails: list[np.ndarray] = []
 
     def choose(self, time_s: np.ndarray, is_key: np.ndarray) -> list[int]:
-        """Which of a film's frames to add, where all their times are known: few to be decoded.
+        """Which of a film's frames to add, where all their times (n,) from the start are known.
 
-        Parameters
-        ----------
-        time_s : ndarray (n,)
-            From the start.
-        is_key : ndarray (n,) bool
-            Whether a frame can be decoded without those before it: such a one is taken in place of
-            the frame that is due, if it is near.
+        Few are to be decoded: a frame that can be decoded without those before it (`is_key`) is
+        taken in place of the frame that is due, if it is near.
         """
         rest = np.flatnonzero(np.abs(time_s - self._path.drop_duration_s) <= _REST_S)
         chosen = list(map(int, rest[:_REST_FRAMES]))

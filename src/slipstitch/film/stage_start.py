@@ -138,15 +138,8 @@ def find_start(
 ) -> StageStart | None:
     """Time at which the stage starts to descend; None if it never does.
 
-    Parameters
-    ----------
-    moments : iterable of Moment
-        Frames of a video in which the cloth hangs still for 2 s at least before the start. No more
-        than some seconds of small images are kept.
-    lens : Camera
-        The real camera.
-    crop : Camera
-        Of the calibrated viewpoint at the start.
+    The cloth hangs still for 2 s at least before the start. No more than some seconds of small
+    images are kept. `crop` is the calibrated viewpoint's at the start.
     """
     search = Search(lens, crop, path)
     for moment in moments:

@@ -226,19 +226,7 @@ def write_bench(config: Config, folder: str | os.PathLike) -> None:
 
 
 def make_film(config: Config, film: Film, out: str | os.PathLike, progress=iter) -> int:
-    """Simulate and render one capture.
-
-    Parameters
-    ----------
-    out : path
-        Video, MP4.
-    progress : callable
-        Wraps the list of frames that are rendered.
-
-    Returns
-    -------
-    int
-        Frames of the film.
+    """Simulate and render one capture as an MP4 file; return its number of frames.
 
     Raises
     ------

@@ -87,17 +87,7 @@ class BenchCamera:
 
 
 def draw_bench_camera(seed: int, simulation: str, viewpoint: str) -> BenchCamera:
-    """The camera of a simulation's videos from a member of the family.
-
-    Parameters
-    ----------
-    seed : int
-        The configuration's.
-    simulation : str
-        Its id.
-    viewpoint : str
-        Name of the member.
-    """
+    """The camera of a simulation's videos (by its id) from a member of the family (by its name)."""
     rng = generator(seed, drawn_by(simulation, viewpoint), viewpoint, "bench camera")
     yaw, pitch, roll, distance = rng.uniform(-1, 1, 4)
     aim = rng.uniform(-1, 1, 3) * AIM_MAX_M
@@ -140,12 +130,7 @@ class Rectifier:
     def source_pixels(self, camera: Camera, time_s: float) -> np.ndarray:
         """Where a bench camera's image shows what the calibrated viewpoint would see.
 
-        From what its calibration says of it, at the time that was found.
-
-        Returns
-        -------
-        ndarray (rays pixels, rays pixels, 2) float32
-            As of `slipstitch.images.rectification.fine_source_pixels`.
+        From what its calibration says of it, at the time that was found; as `fine_source_pixels`.
         """
         assert self.bench is not None
         found_s = time_s + self.bench.start_error_s

@@ -67,18 +67,9 @@ def _silent_stdout() -> Iterator[None]:
 
 
 class ClothScene:
-    """One cloth in Blender, rendered frame by frame.
+    """One cloth in Blender, triangles (F, 3) with texture coordinates (V, 2), rendered by frames.
 
     Blender holds one scene a process; making a second `ClothScene` replaces the first.
-
-    Parameters
-    ----------
-    faces : ndarray (F, 3) int
-        Triangles.
-    uv : ndarray (V, 2)
-        Texture coordinates in [0, 1].
-    surroundings : Surroundings
-        The floor's look and the lamp's place.
     """
 
     def __init__(self, faces: np.ndarray, uv: np.ndarray, surroundings: Surroundings = MATTE):
@@ -301,17 +292,12 @@ class ClothScene:
     def render(
         self, positions_m: np.ndarray, camera: Camera, *, samples: int, seed: int = 0
     ) -> Rendering:
-        """Render the cloth with these vertices through this camera.
+        """Render the cloth with these vertices (V, 3) through this camera, at its resolution.
 
         Parameters
         ----------
-        positions_m : ndarray (V, 3)
-            World coordinates.
-        camera : Camera
-            Gives the resolution too.
         samples : int
-            Paths per pixel. The first goes through the pixel's centre, the others are spread
-            evenly over the pixel.
+            Paths per pixel: the first through its centre, the others spread evenly over the pixel.
         seed : int
             Of the path tracer's samples.
 

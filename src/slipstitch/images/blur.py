@@ -24,7 +24,7 @@ GAUSSIAN = ((1.0, 1.0),)
 
 
 def blur_weights(width: np.ndarray, shape: tuple[tuple[float, float], ...]) -> np.ndarray:
-    """Weights of the images blurred by each width at each pixel.
+    """Weights (L, H, W) float32 of the images blurred by each width that some pixel uses.
 
     Parameters
     ----------
@@ -32,11 +32,6 @@ def blur_weights(width: np.ndarray, shape: tuple[tuple[float, float], ...]) -> n
         Of the blur, in pixels.
     shape : tuple of (float, float)
         Weights, and widths over `width`, of the Gaussians that the blur is a mixture of.
-
-    Returns
-    -------
-    ndarray (L, H, W) float32
-        For as many widths as there are pixels that use them.
     """
     numbers, variances = range(len(_WIDTHS)), np.square(_WIDTHS)
     weights = np.zeros((len(_WIDTHS), *width.shape), np.float32)
@@ -50,14 +45,9 @@ def blur_weights(width: np.ndarray, shape: tuple[tuple[float, float], ...]) -> n
 
 
 def blurred(image: np.ndarray, weights: np.ndarray, squeeze: float) -> np.ndarray:
-    """An image (H, W, C) float32 blurred at every pixel as `blur_weights` say.
+    """An image (H, W, C) float32 blurred at every pixel as `blur_weights` (L, H, W) say.
 
-    Parameters
-    ----------
-    image : ndarray (H, W, C) float32
-    weights : ndarray (L, H, W)
-    squeeze : float
-        The sideward width over the upward one.
+    `squeeze` is the sideward width over the upward one.
     """
     result = weights[0][..., None] * image
     for width, weight in zip(_WIDTHS[1:], weights[1:], strict=False):
@@ -87,7 +77,7 @@ def _kernel(width: float) -> np.ndarray:
 
 
 def spread(light: np.ndarray, share: np.ndarray, blur: float) -> np.ndarray:
-    """Light smoothed within a region and carried a little way out of it.
+    """Light over share (C, H, W): smoothed within a region and carried a little way out of it.
 
     Around every pixel a plane is fitted to the light nearby: a mean would miss the gradient of a
     shadow at the region's edge.
@@ -99,11 +89,6 @@ def spread(light: np.ndarray, share: np.ndarray, blur: float) -> np.ndarray:
         How much of the light is the region's: 0 outside it.
     blur : float
         Standard deviation in pixels of the weights.
-
-    Returns
-    -------
-    ndarray (C, H, W) float32
-        Light over share.
     """
     share = share.astype(np.float32)
     values = np.moveaxis(light, 0, -1).astype(np.float32) * (share > 0)[..., None]

@@ -40,14 +40,9 @@ def viewpoint_pose(viewpoint: str, settings: RenderSettings) -> Pose:
 def cloth_room(
     stage_x_m: float | np.ndarray, stage_z_m: float | np.ndarray, width_m: float, length_m: float
 ) -> np.ndarray:
-    """Corners (N, 3) of a room around the stage that the cloth stays in.
+    """Corners (N, 3) of a room that a cloth of this width and length stays in.
 
-    Parameters
-    ----------
-    stage_x_m, stage_z_m : float or array
-        Place of the clamps; of several places, the room holds all.
-    width_m, length_m : float
-        Of the cloth at rest: along its upper edge, and from there to its lower edge.
+    Around one place of the clamps, or around several places.
     """
     first, last, top = np.min(stage_x_m), np.max(stage_x_m), np.max(stage_z_m)
     corners = [

@@ -100,14 +100,9 @@ def pose(viewpoint: Viewpoint) -> Pose:
 
 
 def turned(rotation: np.ndarray, translation_m: np.ndarray, turn_deg: float) -> Pose:
-    """A camera's rotation and translation after walking round the vertical through `AIM_M`.
+    """A camera's pose after walking round the vertical through `AIM_M`.
 
-    Parameters
-    ----------
-    rotation, translation_m : ndarray (3, 3), (3,)
-        World to camera.
-    turn_deg : float
-        By how much the camera's azimuth grows, see `Viewpoint.azimuth_deg`.
+    `turn_deg` is by how much its azimuth grows, see `Viewpoint.azimuth_deg`.
     """
     turn = math.radians(turn_deg)
     # The camera walks clockwise seen from above; the world, as it sees it, turns the other way.

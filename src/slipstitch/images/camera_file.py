@@ -137,11 +137,8 @@ def check_position(where: str, position_m: np.ndarray, hint: str = "") -> None:
 def read_foreign_lens(path: str | os.PathLike) -> Lens:
     """Return the lens in a calibration that another program wrote.
 
-    Parameters
-    ----------
-    path : path
-        YAML or XML of OpenCV's FileStorage, ROS camera_info (a file or a printed message), or JSON
-        with the arrays that calibrateCamera returns and the size of the image.
+    YAML or XML of OpenCV's FileStorage, ROS camera_info (a file or a printed message), or JSON with
+    the arrays that calibrateCamera returns and the size of the image.
 
     Raises
     ------

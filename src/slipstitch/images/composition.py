@@ -176,11 +176,7 @@ def _mirrored_rays(sight: MirroredSight) -> MirroredRays:
 def _mirrored_albedo(rays: MirroredRays, texel: wp.array, texels: np.ndarray) -> np.ndarray:
     """Mean albedo (pixels, pixels, 3) of the cloth reflected in each floor pixel.
 
-    Parameters
-    ----------
-    texel : Warp array (N,) int
-        Number of each ray's texel.
-    texels : ndarray (M, 3)
+    By the number of each ray's texel, of texels (M, 3).
     """
     image = np.zeros((*rays.count.shape[:2], 3), np.float32)
     inputs = [warp_array(rays.starts, wp.int32), texel, warp_array(texels, wp.vec3)]

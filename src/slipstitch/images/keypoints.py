@@ -24,20 +24,9 @@ def _nearest(uv: np.ndarray) -> np.ndarray:
 
 
 def keypoints_m(positions_m: np.ndarray, uv: np.ndarray, stage_x_m: np.ndarray) -> np.ndarray:
-    """Places of the vertices nearest to `KEYPOINTS_UV`.
+    """Places (T, 9, 3) of the vertices nearest to `KEYPOINTS_UV`, of vertices (T, V, 3).
 
-    Parameters
-    ----------
-    positions_m : ndarray (T, V, 3)
-        World coordinates.
-    uv : ndarray (V, 2)
-    stage_x_m : ndarray (T,)
-        Place of the clamps along the track.
-
-    Returns
-    -------
-    ndarray (T, 9, 3) float64
-        Along the track relative to the clamps, across it, and above the floor; metres.
+    Metres along the track relative to the clamps `stage_x_m` (T,), across it, above the floor.
     """
     places = positions_m[:, _nearest(uv)].astype(np.float64)
     places[..., 0] -= stage_x_m[:, None]

@@ -93,15 +93,7 @@ def render_shadings(
 
 
 def shade(view: View, trajectory: Trajectory, progress=iter) -> Pack:
-    """Render the light of a view.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        The view's.
-    progress : callable
-        Wraps the list of frames, to show how far the work is.
-    """
+    """Render the light of a view of its trajectory; `progress` wraps the list of frames."""
     wanted, surroundings = view.shots(trajectory), view.surroundings
     metadata = {
         "simulation": view.simulation,
@@ -158,12 +150,7 @@ def _pack_record(view: View, started: tuple[float, float]) -> dict:
 
 
 def read_pack(path: str | os.PathLike, view: View, trajectory: Trajectory) -> Pack:
-    """Read what `write_pack` wrote.
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        The view's.
+    """Read what `write_pack` wrote of a view and its trajectory.
 
     Raises
     ------

@@ -40,13 +40,8 @@ PROFILE = (
 def lags_m(stage_x_m: np.ndarray, stage_z_m: np.ndarray, length_m: float) -> np.ndarray:
     """Place of the lower edge relative to the clamps, shape (T,): it stays until it is pulled.
 
-    Parameters
-    ----------
-    stage_x_m, stage_z_m : ndarray (T,)
-        Place of the clamps along the track and above the floor, from the start of the motion on, in
-        steps much shorter than the reach.
-    length_m : float
-        Of the cloth, from the clamps to its lower edge.
+    From the clamps' places (T,) along the track and above the floor, from the start of the motion
+    on, in steps much shorter than the reach, and the cloth's length.
     """
     reach = LAG * np.sqrt(np.maximum(length_m**2 - stage_z_m**2, 0.0))
     edge, found = float(stage_x_m[0]), np.empty(len(stage_x_m))
@@ -130,14 +125,10 @@ def _depth(eye: np.ndarray, rays: np.ndarray, normal: np.ndarray, offset: float)
 
 
 def in_stage_plane(crop: Camera, sideways_m: np.ndarray, height_m: np.ndarray) -> np.ndarray:
-    """Points (..., 3) of the upright plane through the clamps at the stage's start, by their place.
+    """Points (..., 3) of the upright plane through the clamps at the stage's start.
 
-    Across the track; for a camera that looks across the track, along it.
-
-    Parameters
-    ----------
-    sideways_m, height_m : ndarray
-        From the middle between the clamps, and above the floor; broadcast against each other.
+    By their places sideways from the middle between the clamps and above the floor; across the
+    track, or along it for a camera that looks across the track.
     """
     along = np.array([0.0, 1.0, 0.0] if across_the_track(crop) else [-1.0, 0.0, 0.0])
     return sideways_m[..., None] * along + height_m[..., None] * [0, 0, 1.0]
@@ -146,23 +137,18 @@ def in_stage_plane(crop: Camera, sideways_m: np.ndarray, height_m: np.ndarray) -
 def source_pixels(
     lens: Camera, crop: Camera, surface: Surface, along: np.ndarray | None = None
 ) -> np.ndarray:
-    """Position in the real image of each pixel of a crop.
+    """Position in the real image of each pixel of a crop, (n, n, 2) float64.
+
+    NaN where the crop looks past the surface or the real camera cannot see it.
 
     Parameters
     ----------
-    lens : Camera
-        The real camera.
-    crop : Camera
-        Cut from the calibrated viewpoint.
+    lens, crop : Camera
+        The real camera; the one cut from the calibrated viewpoint.
     surface : Surface
         What the crop's pixels are taken to show.
     along : ndarray (n,), optional
         Places along either side of the crop; the pixels' centres by default.
-
-    Returns
-    -------
-    ndarray (n, n, 2) float64
-        x, y; NaN where the crop looks past the surface or the real camera cannot see it.
     """
     along = np.arange(crop.pixels) if along is None else along
     size = len(along)
@@ -196,35 +182,16 @@ def fine_source_pixels(lens: Camera, crop: Camera, surface: Surface) -> np.ndarr
 def rectify(
     image: np.ndarray, lens: Camera, crop: Camera, surface: Surface
 ) -> tuple[np.ndarray, float]:
-    """The crop, each pixel the mean of the light that falls on it.
+    """The crop, each pixel the mean of the light that falls on it, and its share in the image.
 
-    Parameters
-    ----------
-    image : ndarray (rows, columns, 3) uint8
-        The real image, sRGB, in any order of colours.
-    lens, crop, surface
-        As for `source_pixels`.
-
-    Returns
-    -------
-    ndarray (pixels, pixels, 3) uint8
-        Beyond the real image its border is repeated; black where the crop looks past the surface.
-    float
-        Share of the crop that lies in the real image.
+    Of a real image (rows, columns, 3) uint8, sRGB, in any order of colours. Beyond the image its
+    border is repeated; the crop is black where it looks past the surface.
     """
     return resample(image, fine_source_pixels(lens, crop, surface), crop.pixels)
 
 
 def resample(image: np.ndarray, place: np.ndarray, pixels: int) -> tuple[np.ndarray, float]:
-    """As `rectify`, from what `fine_source_pixels` gave, for the images of one moment and camera.
-
-    Parameters
-    ----------
-    image : ndarray (rows, columns, 3) uint8
-    place : ndarray (rays pixels, rays pixels, 2) float32
-    pixels : int
-        Side of the crop.
-    """
+    """As `rectify`, at the `place` of `fine_source_pixels`: for images of one moment and camera."""
     rows, columns = image.shape[:2]
     inside = in_image(place, columns, rows)
     if not inside.any():

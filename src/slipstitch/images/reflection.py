@@ -80,11 +80,7 @@ def mirrored_sight(
     floor_m : ndarray (4, 3)
         Corners of the mirror, all at the same height.
     cloth : Visibility
-        What the image's rays see of the cloth itself.
-    camera : Camera
-        Of the image.
-    rays : int
-        Along each side of a pixel.
+        What the image's rays see of the cloth itself, `rays` along each side of a pixel.
     """
     wide, floor_z_m = camera.with_margin(_MARGIN), float(floor_m[0, 2])
     fine = wide.at_resolution(wide.pixels * rays)
@@ -159,14 +155,10 @@ def mirror_shares(sight: MirroredSight, cells: int) -> MirrorShares:
 
 
 def glint_share(surroundings: Surroundings, floor_z_m: float, camera: Camera) -> np.ndarray:
-    """Share of the lamp's light on a floor that is mirrored, not scattered, at every pixel.
+    """Share (pixels, pixels) of the lamp's light on a floor that is mirrored, not scattered.
 
     The floor is a GGX mirror (Walter et al. 2007, height-correlated masking) of Schlick's
     reflectance over a Lambertian body, the lamp is taken as a point.
-
-    Returns
-    -------
-    ndarray (pixels, pixels) float32
     """
     place = np.arange(camera.pixels)
     x = (place[None, :] - camera.matrix[0, 2]) / camera.matrix[0, 0]
@@ -198,13 +190,7 @@ def smooth_mirrored_light(
 ) -> np.ndarray:
     """Light (C, H, W) of the mirrored cloth, smoothed within its reflection.
 
-    Parameters
-    ----------
-    light : ndarray (C, H, W)
-    where : ndarray (H, W) bool
-        The pixels that see nothing but floor.
-    squeeze : float
-        Of the mirrored sight.
+    `where` (H, W) are the pixels that see nothing but floor.
     """
     lit = shares.lit * where
     near = np.moveaxis(spread(light, lit, _LEAST_LIGHT_BLUR), 0, -1)

@@ -92,16 +92,7 @@ def look(
 ) -> Sight:
     """Visibility of the rays of an image.
 
-    Parameters
-    ----------
-    positions_m, faces, vertex_uv : ndarray
-        The cloth's mesh.
-    floor_m : ndarray (4, 3)
-        Corners of the floor.
-    camera : Camera
-        At the resolution of the image.
-    surroundings : Surroundings
-        The floor's look and the lamp's place.
+    Of the cloth's mesh and a floor's corners (4, 3), through a camera at the image's resolution.
     """
     rays = _rays_per_side(camera.pixels)
     fine = camera.at_resolution(camera.pixels * rays)
@@ -119,14 +110,7 @@ def separated_light(
 ) -> Shading:
     """Separate and smooth the light of a shading render.
 
-    Parameters
-    ----------
-    radiance : ndarray (2, 2 pixels, 2 pixels, 3)
-    uv : ndarray (2 pixels, 2 pixels, 3)
-    glossy : ndarray (2 pixels, 2 pixels, 3), optional
-        As `ClothScene.render` returns them at twice the camera's resolution.
-    sight : Sight
-        Of the image.
+    Radiance, uv and glossy are what `ClothScene.render` returns at twice the camera's resolution.
     """
     light = np.stack([separate(part) for part in radiance])
     step = sight.rays // LIGHT_OVERSAMPLING

@@ -64,19 +64,12 @@ def of_a_family(viewpoint: str) -> bool:
 
 
 def drawn_by(simulation: str, viewpoint: str) -> str:
-    """What the looks of a simulation's videos from a viewpoint are drawn by.
+    """What the looks of a simulation's videos from a viewpoint (by name) are drawn by.
 
     The bench (fabric and replicate), so that no look tells the coefficient. For a camera of the
     family ``bench_1`` ... the whole simulation: as many benches as there are films, so that none
     tells its fabric. That a look is then of one coefficient does no harm where whole simulations
     are held out, the only split that the configuration allows with such cameras.
-
-    Parameters
-    ----------
-    simulation : str
-        Its id.
-    viewpoint : str
-        Name in the catalogue.
     """
     return simulation if of_a_family(viewpoint) else bench_of(simulation)
 
@@ -86,18 +79,8 @@ def draw_surroundings(
 ) -> Surroundings:
     """Floor and lamp of a simulation: of its fabric and replicate, whatever its coefficient.
 
-    A camera of the family ``bench_1`` ... is another bench in every simulation (`drawn_by`).
-
-    Parameters
-    ----------
-    settings : RenderSettings
-        Floors to draw from, and how far the lamp may move.
-    seed : int
-        The configuration's.
-    simulation : str
-        Its id.
-    viewpoint_id : str
-        Of the family, one of the second training set, or any other: these share floor and lamp.
+    All viewpoints share them but those of the second training set and of the family
+    ``bench_1`` ..., each of which is another bench in every simulation (`drawn_by`).
     """
     view = viewpoint_ids(settings).get(viewpoint_id, "")
     bench = drawn_by(simulation, view)

@@ -25,21 +25,9 @@ KEPT = 16
 
 
 def worn_texture(name: str, seed: int, simulation: str, viewpoint: str) -> str:
-    """The texture that the cloth wears in a film: of a member of the family, the film's own.
+    """What `texture` takes for the cloth of a film: a name, of the family with a number.
 
-    Parameters
-    ----------
-    name : str
-        As the configuration has it.
-    seed : int
-        The configuration's.
-    simulation, viewpoint : str
-        Id of the simulation, name of the viewpoint.
-
-    Returns
-    -------
-    str
-        What `texture` takes: the name, for a member with the number that it is drawn by.
+    The number is drawn for the simulation (by id) and the viewpoint (by name).
     """
     if name not in TEXTURE_FAMILY:
         return name
@@ -48,24 +36,15 @@ def worn_texture(name: str, seed: int, simulation: str, viewpoint: str) -> str:
 
 @lru_cache(KEPT)
 def texture(name: str) -> np.ndarray:
-    """Linear albedo of a texture.
+    """Linear albedo (512, 512, 3) float32 of a texture, in [0.02, 0.8], read-only.
+
+    Row 0 is at v = 0 (the cloth's upper edge), column 0 at u = 0, values at texel centres.
 
     Parameters
     ----------
     name : str
         One of `slipstitch.config.catalogue.TEXTURES`, an image file (sRGB), or what `worn_texture`
-        makes of a member of the family.
-
-    Returns
-    -------
-    ndarray (512, 512, 3) float32, read-only
-        Red, green, blue in [0.02, 0.8]; row 0 at v = 0 (the cloth's upper edge), column 0 at
-        u = 0, values at texel centres.
-
-    Raises
-    ------
-    BadInput
-        If there is no texture of this name, or its file is no image.
+        makes of a member of the family; BadInput if it is none of these.
     """
     member, _, number = name.partition(":")
     centres = (np.arange(TEXELS) + 0.5) / TEXELS

@@ -91,15 +91,7 @@ def compare(
     trajectory_path: str | os.PathLike,
     pack_path: str | os.PathLike,
 ) -> Comparison:
-    """Compare one image.
-
-    Parameters
-    ----------
-    row : int
-        Of the shard.
-    trajectory_path, pack_path : path
-        That the shard was composed from.
-    """
+    """Compare one row of a shard with a direct render, from the files that it was composed from."""
     from slipstitch.images.blender import ClothScene
 
     stored = read_parquet(shard).slice(row, 1).to_pylist()[0]

@@ -256,10 +256,8 @@ def interpolated(
 
     Parameters
     ----------
-    parents : mapping
-        Simulation id -> trajectory, on one mesh, at the same times.
-    weights : mapping
-        Simulation id -> weight, adding up to 1.
+    parents, weights : mapping
+        Simulation id -> trajectory, and weight; the trajectories on one mesh, at the same times.
     own : str
         Simulation of the film.
 
@@ -267,11 +265,6 @@ def interpolated(
     -------
     Trajectory
         ``metadata["interpolated_frames"]`` is the number of frames that show the mean.
-
-    Raises
-    ------
-    BadInput
-        If the trajectories do not fit one another.
     """
     first, total = parents[own], sum(weights.values())
     for name, other in parents.items():
@@ -293,14 +286,7 @@ def interpolated(
 
 
 def edge_strain(trajectory: Trajectory, positions_m: np.ndarray) -> np.ndarray:
-    """The 99th percentile, over the edges, of the absolute strain of a cloth, shape (T,).
-
-    Parameters
-    ----------
-    trajectory : Trajectory
-        With the mesh and its rest positions.
-    positions_m : ndarray (T, V, 3)
-    """
+    """The 99th percentile over the edges of the absolute strain of cloths (T, V, 3), shape (T,)."""
     sides = np.sort(trajectory.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     tail, head = np.unique(sides, axis=0).T
     rest_m = trajectory.rest_positions_m

@@ -59,20 +59,8 @@ def visible_cloth(
 ) -> Visibility:
     """Cast one ray through every pixel, at its place in `ray_places`, at the cloth's triangles.
 
-    Parameters
-    ----------
-    positions_m : ndarray (V, 3)
-        World coordinates.
-    faces : ndarray (F, 3) int
-    uv : ndarray (V, 2)
-        Interpolated over each triangle with perspective.
-    tile : int
-        4 or 8, see `ray_places`.
-
-    Returns
-    -------
-    Visibility
-        Both faces of the cloth count; vertices must lie in front of the camera.
+    Texture coordinates (V, 2) are interpolated over each triangle with perspective. Both faces of
+    the cloth count; vertices must lie in front of the camera.
     """
     side = camera.pixels
     local = positions_m @ camera.rotation.T + camera.translation_m
@@ -143,20 +131,10 @@ def _draw_triangle(
 
 
 def sees_quad(corners_m: np.ndarray, camera: Camera, tile: int = 4) -> np.ndarray:
-    """Whether each pixel's ray meets a convex quadrilateral.
+    """Whether each pixel's ray meets a convex quadrilateral, (pixels, pixels) bool.
 
-    Parameters
-    ----------
-    corners_m : ndarray (4, 3)
-        In order around the quadrilateral, all in front of the camera.
-    camera : Camera
-        Its pixels are a multiple of `tile`.
-    tile : int
-        4 or 8, see `ray_places`.
-
-    Returns
-    -------
-    ndarray (pixels, pixels) bool
+    Its corners (4, 3) in order around it, all in front of the camera, whose pixels are a multiple
+    of `tile` (4 or 8, see `ray_places`).
     """
     corners = camera.project(corners_m)
     edges = np.roll(corners, -1, axis=0) - corners

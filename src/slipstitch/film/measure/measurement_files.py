@@ -206,18 +206,10 @@ def write_measurements(
     numbers_path: Path | None,
     table_path: Path | None,
 ) -> None:
-    """Write what is asked for, with its provenance beside it.
+    """Write what is asked for (HTML, JSON, CSV), with its provenance beside it.
 
-    Parameters
-    ----------
-    pair : MeasuredPair
-        Of a single video: the page and the numbers of a single video.
-    read : sequence of path
-        The videos, the camera file, the instrument's configuration, for the record.
-    started : tuple of float
-        As of `slipstitch.base.provenance.start_clock`.
-    page_path, numbers_path, table_path : path, optional
-        HTML, JSON and CSV.
+    Of a single video, its own page and numbers. `read` are the videos, the camera file and the
+    instrument's configuration, for the record.
     """
     if not (page_path or numbers_path or table_path):
         return

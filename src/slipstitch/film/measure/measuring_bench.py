@@ -149,12 +149,7 @@ class MeasuringBench:
         start_s: float | None = None,
         frame_rate_hz: float | None = None,
     ) -> MeasuredVideo:
-        """Measure one video.
-
-        Parameters
-        ----------
-        start_s, frame_rate_hz : float, optional
-            See `slipstitch.film.stage_video.read_stage_video`.
+        """Measure one video; start and frame rate as for `read_stage_video`.
 
         Raises
         ------

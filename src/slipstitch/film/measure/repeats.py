@@ -37,15 +37,9 @@ def combined(
     intervals_90: Sequence[tuple[float, float]],
     ends: tuple[float, float],
 ) -> Repeats:
-    """Combine the measurements of one pair.
+    """Combine the measurements of one pair: medians and 90 % intervals of n videos.
 
-    Parameters
-    ----------
-    friction : sequence of float, length n
-        Medians of the videos.
-    intervals_90 : sequence of (low, high), length n
-    ends : tuple of float
-        Of the instrument's grid of mu, to which its intervals are clipped.
+    `ends` are those of the instrument's grid of mu, to which its intervals are clipped.
     """
     values, intervals = np.asarray(friction, float), np.asarray(intervals_90, float)
     mean = float(values.mean())
