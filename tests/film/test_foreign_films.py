@@ -89,6 +89,7 @@ def test_joined_parts_whose_times_overlap_are_refused_and_a_stated_rate_is_read(
     assert read.time_s == pytest.approx(SCHEDULE.time_s, abs=1 / rate_hz)
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize(
     ("rate_hz", "clock", "message"),
     [
