@@ -49,7 +49,7 @@ with one_line_errors():
 # The slipstitch beside this Python, also where the virtual environment is not active.
 os.environ["PATH"] = os.path.dirname(sys.executable) + os.pathsep + os.environ["PATH"]
 
-# Each job says what it used at the end of its log (slipstitch.report.benchmark).
+# Each job says what it used at the end of its log (slipstitch.report.cost).
 os.environ["SLIPSTITCH_CPU_TIME"] = "1"
 
 SIMULATIONS = {simulation.id: simulation for simulation in simulations(CONFIG)}

@@ -3,9 +3,7 @@
 from snakemake.exceptions import WorkflowError
 from snakemake.logging import logger
 
-from slipstitch.report.status.journal import Journal, plan_of
-from slipstitch.report.status.progress import Progress
-from slipstitch.report.status.runs import last_failures
+from slipstitch.report.status import Journal, Progress, last_failures, plan_of
 
 # What `slipstitch status` and the report read; the processes of single jobs do not write to it.
 JOURNAL = Journal()
@@ -27,7 +25,7 @@ def refuse_unwritable(jobs):
 onstart:
     refuse_unwritable(workflow.dag.needrun_jobs())
     write_config(CONFIG, CONFIG_FILE)
-    JOURNAL.begin(workflow.dag, workflow.cores)
+    JOURNAL.begin(workflow.dag)
     if sys.stderr.isatty():
         logger.addHandler(Progress(plan_of(workflow.dag), CONFIG))
     # Snakemake 9's limit of jobs started a second sets a timer with every job, which sets the next

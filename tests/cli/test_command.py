@@ -14,7 +14,7 @@ import pytest
 import slipstitch.cli.main as command
 from slipstitch.base.errors import BadInput, NotConverged
 from slipstitch.cli import options, project
-from slipstitch.report.benchmark import SAID_CPU_TIME
+from slipstitch.report.cost import SAID_CPU_TIME
 
 ROOT = Path(__file__).parents[2]
 VERB = "doctor"  # any verb that exists; it is replaced below

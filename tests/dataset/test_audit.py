@@ -22,9 +22,8 @@ from slipstitch.cli.main import main
 from slipstitch.config import load_config, write_config
 from slipstitch.dataset.audit import rebuild, staleness
 from slipstitch.dataset.audit.auditing import audit_release
-from slipstitch.dataset.audit.contents import read_contents
+from slipstitch.dataset.audit.contents import Lineage, read_contents
 from slipstitch.dataset.audit.findings import Kind
-from slipstitch.dataset.audit.lineage import Lineage
 from slipstitch.dataset.manifest import dataset_digest
 from slipstitch.dataset.release.assembly import write_release
 from slipstitch.dataset.release.checksums import read_sums

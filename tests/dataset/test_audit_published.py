@@ -81,6 +81,24 @@ def test_what_is_published_is_intact(name):
     assert all(len(chain.shards) >= 144 for chain in audit.chains)
 
 
+def test_a_score_that_its_predictions_do_not_give_is_found(folder, capsys):
+    audited(folder, 0)
+    assert "scores not compared with the predictions" in capsys.readouterr().out  # earlier ones
+    scores = json.loads((folder / "metrics.json").read_text())
+    assert audit_published(folder, recompute=lambda path: scores).verdict == "intact"
+    (split, rows), *_ = scores.items()
+    model = next(iter(rows))
+    changed = scores | {split: rows | {model: rows[model] | {"mean_absolute_error": 0.001}}}
+    (folder / "metrics.json.provenance.json").unlink()
+    write_json(folder / "metrics.json", changed)
+    (found,) = audit_published(listed(folder), recompute=lambda path: scores).findings
+    assert (found.kind.value, found.where) == ("broken chain", "metrics.json")
+    assert found.what == (
+        f"{split} {model} mean_absolute_error is 0.001, its predictions give "
+        f"{rows[model]['mean_absolute_error']}"
+    )
+
+
 def test_without_its_lineage_the_chain_ends_at_the_images(folder, capsys):
     (folder / LINEAGE).unlink(missing_ok=True)
     told = audited(listed(folder), 0)

@@ -21,21 +21,20 @@ from slipstitch.base.provenance import attach_metadata, read_metadata
 from slipstitch.cli.main import main
 from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.dataset.audit.auditing import audit_release
-from slipstitch.dataset.images import pixels_digest
+from slipstitch.dataset.images import decode, pixels_digest
 from slipstitch.dataset.manifest import dataset_digest, read_manifest
 from slipstitch.dataset.release import assembly
 from slipstitch.dataset.release.assembly import write_release
 from slipstitch.dataset.release.checksums import SUMS, read_sums
-from slipstitch.dataset.release.manifest import sampled_rows
-from slipstitch.dataset.release.records import rows_digest
-from slipstitch.dataset.release.splits import (
+from slipstitch.dataset.release.manifest import (
     parts,
     parts_of_splits,
+    sampled_rows,
     split_columns,
     unseen_fabrics,
     unseen_frictions,
 )
-from slipstitch.dataset.shards import decode
+from slipstitch.dataset.release.records import rows_digest
 from slipstitch.design.grid import films, simulations
 from slipstitch.design.interpolation import filmed_friction, interpolations
 from slipstitch.design.splits import sides_of_simulations

@@ -13,7 +13,7 @@ from slipstitch.dataset.audit.auditing import audit_release
 from slipstitch.dataset.audit.contents import read_contents
 from slipstitch.dataset.audit.findings import NO_FORGER
 from slipstitch.dataset.release.assembly import write_release
-from slipstitch.dataset.release.signature import verify
+from slipstitch.dataset.release.checksums import verify
 
 ROOT = Path(__file__).parents[2]
 CONFIG = synthetic_chain.config(

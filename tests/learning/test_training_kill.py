@@ -17,7 +17,7 @@ from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.dataset.dataset import write_dataset
 from slipstitch.learning.checkpoint import CHECKPOINT
-from slipstitch.report.benchmark import SAID_CPU_TIME
+from slipstitch.report.cost import SAID_CPU_TIME
 
 pytestmark = pytest.mark.slow
 

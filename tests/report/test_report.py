@@ -25,6 +25,7 @@ from slipstitch.learning.evaluation.cumulative import cumulative_error
 from slipstitch.learning.evaluation.metrics import entry
 from slipstitch.learning.evaluation.probes import MIDDLE_FRAME
 from slipstitch.report.captures import capture_errors
+from slipstitch.report.cost import benchmarks
 from slipstitch.report.dataset import dataset
 from slipstitch.report.headline import headline, share_interval
 from slipstitch.report.page import closest_frictions, page_context, render_page, write_report
@@ -440,7 +441,7 @@ def test_the_simulations_are_summed_up_and_those_that_lack_are_named(tmp_path):
 
 
 def test_costs_add_up_over_jobs_and_an_unknown_one_is_a_dash(whole, tmp_path):
-    costs = {one.stage: one for one in Results(whole, CONFIG).benchmarks()}
+    costs = {one.stage: one for one in benchmarks(whole)}
     assert list(costs) == ["calibrate", "simulate", "render", "sample", "train", "evaluate"]
     assert costs["simulate"].jobs == 12
     assert costs["simulate"].wall_s == pytest.approx(12 * 29.0)

@@ -2,6 +2,7 @@
 
 import json
 import logging
+import os
 import re
 from datetime import UTC, datetime
 from types import SimpleNamespace
@@ -10,13 +11,22 @@ import pytest
 
 from slipstitch.cli.main import main
 from slipstitch.config import Config, write_config
-from slipstitch.report.benchmark import read_benchmark
+from slipstitch.report.cost import benchmarks, read_benchmark
 from slipstitch.report.page import page_context, render_page
 from slipstitch.report.results import Results
-from slipstitch.report.status.journal import Journal, process_identity
-from slipstitch.report.status.progress import Progress, modelled_s
-from slipstitch.report.status.runs import failures, last_failures, last_lines, read_runs
-from slipstitch.report.status.state import stage_of, status
+from slipstitch.report.status import (
+    Job,
+    Journal,
+    Progress,
+    boot_identity,
+    failures,
+    last_failures,
+    last_lines,
+    modelled_s,
+    process_birth,
+    read_runs,
+    status,
+)
 
 NAMES = ("m00_f0100_r00", "m00_f0300_r00", "m00_f0600_r00", "m00_f1000_r00")
 
@@ -28,26 +38,20 @@ class Event:
         self.value = value
 
 
-class Job:
+class Planned:
     """What the journal needs of one of Snakemake's jobs."""
-
-    threads = 1
 
     def __init__(self, rule, name=None):
         self.rule = SimpleNamespace(name=rule)
         self.output = [f"results/simulate/{name}.parquet"] if name else []
-        self.log = [f"results/logs/simulate/{name}.log"] if name else []
         self.benchmark = f"results/benchmarks/simulate/{name}.tsv" if name else None
 
 
 def graph(finished_before=()):
     """Stands for Snakemake's graph: a simulation a name, and a rule that makes nothing."""
-    jobs = [Job("simulate_one", name) for name in NAMES] + [Job("all")]
+    jobs = [Planned("simulate_one", name) for name in NAMES] + [Planned("all")]
     needed = [job for job, name in zip(jobs, NAMES, strict=False) if name not in finished_before]
-    dependencies = {job: [] for job in jobs} | {jobs[-1]: jobs[:-1]}
-    return SimpleNamespace(
-        jobs=jobs, needrun_jobs=lambda: needed, jobid=jobs.index, dependencies=dependencies
-    )
+    return SimpleNamespace(jobs=jobs, needrun_jobs=lambda: needed, jobid=jobs.index)
 
 
 class Bench:
@@ -58,8 +62,8 @@ class Bench:
         self.results.mkdir()
         self.journal = Journal(self.results / "status")
 
-    def begin(self, cores=2, **options):
-        self.journal.begin(graph(**options), cores)
+    def begin(self, **options):
+        self.journal.begin(graph(**options))
         return self
 
     def tell(self, event, **what):
@@ -133,10 +137,10 @@ def test_a_run_that_was_killed_is_told_from_one_that_goes_on(bench):
     assert ": running." in page and not stopped  # this process
     journal = bench.results / "status/journal.jsonl"
     alive = journal.read_text()
-    journal.write_text(alive.replace(f'"born": {process_identity()["born"]}', '"born": 1'))
+    journal.write_text(alive.replace(f'"born": {process_birth(os.getpid())}', '"born": 1'))
     page, stopped = status(bench.results, 3)
     assert "interrupted; to continue: `snakemake --unlock`" in page and stopped
-    journal.write_text(alive.replace(process_identity()["boot"], "another machine"))
+    journal.write_text(alive.replace(boot_identity(), "another machine"))
     assert "started on another machine" in status(bench.results, 3)[0]
 
 
@@ -145,10 +149,10 @@ def test_cpu_times_are_those_that_the_jobs_state_of_all_their_attempts(bench):
     bench.begin()
     bench.finish(0, cpu_s=8.0)
     bench.finish(1, cpu_s=8.0)  # its log says nothing
-    (silent,) = Results(bench.results, Config()).benchmarks()
+    (silent,) = benchmarks(bench.results)
     log = f"logs/simulate/{NAMES[0]}.log"
     bench.write(log, "x.parquet: 3 halvings, 1.0 CPU s\nCPU time: 9.50 s\n")
-    (reported,) = Results(bench.results, Config()).benchmarks()
+    (reported,) = benchmarks(bench.results)
     assert (silent.cpu_s, reported.cpu_s, reported.jobs) == (16.0, 17.5, 2)
     bench.write(log, "written\nwall time of earlier attempts: 100.25 s\nCPU time: 90.50 s\n")
     measured = read_benchmark(bench.results / f"benchmarks/simulate/{NAMES[0]}.tsv")
@@ -179,7 +183,7 @@ def test_an_attempt_that_was_retried_is_told_from_what_failed_for_good(bench):
     bench.begin(finished_before=NAMES[:1])
     bench.finish(1)
     found = failures(bench.results, read_runs(bench.results))
-    assert [one.then for one in found] == ["retried", "completed later", "not completed"]
+    assert [then for _, then in found] == ["retried", "completed later", "not completed"]
     page = status(bench.results, 3)[0]
     assert "2 earlier failed attempts resolved since" in page
 
@@ -206,9 +210,10 @@ def test_the_end_of_a_log_is_short_whatever_the_log_holds(tmp_path):
 
 
 def test_stages_are_the_folders_below_results():
-    assert stage_of({"output": ["results/render/preview/a.png"]}) == "render"
-    assert stage_of({"output": ["results/grid.parquet"]}) == "grid"
-    assert stage_of({"output": ["results/release"]}) == "release"
+    stages = {"render/preview/a.png": "render", "grid.parquet": "grid", "release": "release"}
+    for name, stage in stages.items():
+        job = Job(id=1, rule="a_rule", output=[f"results/{name}"], needed=True)
+        assert job.stage == stage
 
 
 def test_the_verb_says_so_where_nothing_was_run_and_where_nothing_is(tmp_path, capsys):
@@ -233,12 +238,9 @@ def test_the_verb_fails_where_the_run_failed(bench, capsys):
 def test_the_last_job_of_a_stage_says_the_share_of_the_run_and_the_time_left():
     config = Config()
     jobs = {"simulate_one": ("simulate/a", "simulate/b"), "evaluate_all": ("evaluate/metrics",)}
-    plan = [
-        {"rule": rule, "output": [f"results/{name}.json"], "needed": True}
-        for rule, names in jobs.items()
-        for name in names
-    ]
-    progress = Progress([job | {"id": k} for k, job in enumerate(plan)], config)
+    made = [(rule, f"results/{name}.json") for rule, names in jobs.items() for name in names]
+    plan = [Job(id=k, rule=r, output=[name], needed=True) for k, (r, name) in enumerate(made)]
+    progress = Progress(plan, config)
     assert progress.finished(0) is None and progress.finished(7) is None
     line = progress.finished(1)
     simulated, evaluated = (

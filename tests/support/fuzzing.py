@@ -32,10 +32,10 @@ from slipstitch.config.load import calibrated_settings, read_mapping, resolve_co
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.prediction.predictive import read_verdict
 from slipstitch.dataset.audit.auditing import audit_release
+from slipstitch.dataset.images import read_shard
 from slipstitch.dataset.manifest import read_manifest
 from slipstitch.dataset.release.assembly import write_release
 from slipstitch.dataset.release.records import read_artefact
-from slipstitch.dataset.shards import read_shard
 from slipstitch.dataset.videos import read_videos
 from slipstitch.design.sampled_frames import sampled_frames
 from slipstitch.film import board_views
@@ -56,7 +56,7 @@ from slipstitch.physics.calibration.calibration import read_sweeps
 from slipstitch.physics.friction_law.extended_model import read_extended_model
 from slipstitch.physics.simulation.trajectory import read_trajectory
 from slipstitch.report.results import Results
-from slipstitch.report.status.state import status
+from slipstitch.report.status import status
 from support import analytic_stage, synthetic_chain, synthetic_results
 from support.untrained import untrained_instrument
 
@@ -371,17 +371,16 @@ def _status(add, results: Path) -> None:
     folder = results / "status"
     folder.mkdir()
     job = {
-        "id": 1, "rule": "simulate_one", "output": ["results/simulate/a.parquet"], "threads": 1,
-        "log": ["results/logs/a.log"], "benchmark": "results/benchmarks/a.tsv", "needed": True,
-        "after": [],
+        "id": 1, "rule": "simulate_one", "output": ["results/simulate/a.parquet"],
+        "benchmark": "results/benchmarks/a.tsv", "needed": True,
     }  # fmt: skip
     (folder / "plan.json").write_text(json.dumps({"jobs": [job]}))
     events = [
-        {"event": "run", "time": 1.0, "cores": 2, "pid": 1, "born": 1, "boot": "x"},
+        {"event": "run", "time": 1.0, "pid": 1, "born": 1, "boot": "x"},
         {"event": "started", "time": 2.0, "job": 1},
         {"event": "failed", "time": 3.0, "job": 1, "rule": "r", "output": ["a"], "log": ["b"]},
     ]
-    events.append({"event": "end", "time": 4, "success": 0, "own_cpu_s": 1, "jobs_cpu_s": 2})
+    events.append({"event": "end", "time": 4, "success": False, "own_cpu_s": 1, "jobs_cpu_s": 2})
     (folder / "journal.jsonl").write_text("".join(json.dumps(one) + "\n" for one in events))
     for name in ("plan.json", "journal.jsonl"):
         add(f"status, {name}", folder / name, lambda: status(results, 3))

@@ -18,7 +18,7 @@ from slipstitch.base.provenance import file_digest, provenance_record, write_par
 from slipstitch.config import Config, write_config
 from slipstitch.config.catalogue import catalogue_entries
 from slipstitch.dataset.dataset import write_dataset
-from slipstitch.dataset.shards import decode
+from slipstitch.dataset.images import decode
 from slipstitch.design.grid import Simulation, simulations, texture_ids, viewpoints, write_grid
 from slipstitch.design.stage_path import StagePath
 from slipstitch.images.encoding import encode_png

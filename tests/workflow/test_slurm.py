@@ -19,7 +19,7 @@ from support.workflow_copy import Workflow
 
 from slipstitch.config import load_config
 from slipstitch.design.cost import JOB_KINDS, job_memory_mb, job_runtime_min
-from slipstitch.report.benchmark import read_benchmark
+from slipstitch.report.cost import read_benchmark
 
 pytestmark = pytest.mark.slow
 

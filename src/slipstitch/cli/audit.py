@@ -76,8 +76,8 @@ def audit(arguments: Arguments) -> int:
         refuse(arguments, ("explain", "rebuild", *ignored), "a published folder")
         return _published(arguments)
     if arguments.explain:
-        from slipstitch.dataset.audit.audit_page import printable
-        from slipstitch.dataset.audit.explain import explain
+        from slipstitch.dataset.audit.auditing import explain
+        from slipstitch.dataset.audit.findings import printable
 
         story = explain(read_contents(arguments.release), arguments.explain)
         print("\n".join(map(printable, story.split("\n"))))
@@ -119,9 +119,10 @@ def _published(arguments: Arguments) -> int:
     from slipstitch.base.provenance import file_digest
     from slipstitch.dataset.audit.published import audit_published
     from slipstitch.film.measure import SHIPPED
+    from slipstitch.learning.evaluation.scores import recomputed
 
     shipped = file_digest(SHIPPED / "instrument.safetensors")
-    audit = audit_published(arguments.release, shipped)
+    audit = audit_published(arguments.release, shipped, recomputed)
     _write(json.dumps(audit.as_json(), indent=1), arguments.json)
     if not _is_stdout(arguments.json):
         print(audit.as_text())
@@ -129,8 +130,8 @@ def _published(arguments: Arguments) -> int:
 
 
 def _audit(arguments: Arguments) -> int:
-    from slipstitch.dataset.audit.audit_page import as_text, write_page
     from slipstitch.dataset.audit.auditing import audit_release
+    from slipstitch.dataset.audit.findings import as_text, write_page
 
     config = configuration(arguments) if arguments.config else None
     audit = audit_release(

@@ -61,7 +61,7 @@ def status(arguments: Arguments) -> int:
     from pathlib import Path
 
     from slipstitch.base.errors import BadInput
-    from slipstitch.report.status.state import status as state_of
+    from slipstitch.report.status import status as state_of
 
     folder = Path(arguments.results)
     if not folder.is_dir():

@@ -13,11 +13,15 @@ from slipstitch.base.errors import BadInput
 from slipstitch.base.progress import progress
 from slipstitch.base.provenance import provenance_record, read_metadata, start_clock
 from slipstitch.config import Config
-from slipstitch.dataset.images import pixels_digest, write_frames
-from slipstitch.dataset.labels import video_labels
-from slipstitch.dataset.manifest import write_manifest
+from slipstitch.dataset.images import (
+    decode,
+    pixels_digest,
+    read_shard,
+    simulations_of,
+    write_frames,
+)
+from slipstitch.dataset.manifest import video_labels, write_manifest
 from slipstitch.dataset.probes import PIXELS, check_nothing_told
-from slipstitch.dataset.shards import decode, read_shard, simulations_of
 from slipstitch.dataset.videos import resized
 from slipstitch.design.grid import simulations
 from slipstitch.design.interpolation import interpolations

@@ -15,9 +15,8 @@ from PIL import Image
 from slipstitch.base.errors import BadInput, Damaged
 from slipstitch.base.provenance import read_metadata
 from slipstitch.config.train import REFLECTIVE
-from slipstitch.dataset.images import pixels_digest, read_frames
+from slipstitch.dataset.images import decode, pixels_digest, read_frames
 from slipstitch.dataset.manifest import read_manifest
-from slipstitch.dataset.shards import decode
 from slipstitch.design.sampled_frames import sampled_frames
 from slipstitch.images.keypoints import KEYPOINTS_UV
 

@@ -1,6 +1,6 @@
-"""Estimated cost of a configuration: jobs, CPU time, disk; from measured costs per item.
+"""Estimated cost of a configuration: jobs, CPU time, disk and memory, from measured costs an item.
 
-The table `COSTS` is the only place with measured numbers; the rest scales them.
+CPU times are of one core of a 2-core x86-64 virtual machine, most of them while it was busy.
 """
 
 import math
@@ -11,132 +11,65 @@ from slipstitch.base.page.wording import aligned, size
 from slipstitch.config.calibrate import KEYS
 from slipstitch.config.catalogue import FLOORS
 from slipstitch.config.model import Config
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.design.grid import films, floors_of, simulations, viewpoint_ids
 from slipstitch.design.trainable import instrument_views, trainings
 
+CALIBRATE_S = 20.0  # 5 s in the smoke chain, coarse; an allowance for finer ones
+STRIP_S = 1.2  # a push of the strip at steps of 20 ms or more
 STRIP_FABRICS = 2  # that the pushed strip is made of
+# A nominal time step of 41 x 41 vertices that touch the floor alone: 1060 s for 48600 steps. With
+# vertices that may touch themselves, of 83 ms: the paper's grid, 60 s for 1488 steps.
+SIMULATE_STEP_S, SELF_CONTACT_STEP_S = 0.022, 0.040
+# Power of the vertices a side: 166 simulations at 21 x 21 beside 8 at 41 x 41. Sparse Cholesky
+# alone, of the order of V^1.5 operations for V vertices, would make it 3.
+SIMULATE_POWER = 2.3
+TRAJECTORY_BYTES = 1.0  # a vertex and frame; mean of the paper's 160 simulations, with the mesh
+RENDER_START_S = 1.0  # a Blender process
+RENDER_FRAME_S = 0.14  # a frame of 112 px, 1 sample: 0.145, 0.222, 0.075 by view
+MIRROR_FACTOR = 2.0  # on a reflective floor: two paths for one
+PACK_BYTES = 8.0  # a pixel of the packed light
+COMPOSE_START_S = 0.6  # a simulation: imports, textures drawn
+COMPOSE_FRAME_S, COMPOSE_IMAGE_S = 0.025, 0.0045  # a frame of 112 px; an image of it in a texture
+DIRECT_PIXEL_S = 2.5e-4  # 256 samples; four times as many on a reflective floor
+IMAGE_BYTES = 1.15  # a pixel of PNG: 1.16, 1.47, 0.68 by view at 64 px
+PREVIEW_S, PREVIEW_BYTES = 0.8, 75e3  # a simulation
+SAMPLE_S = 0.0003  # an image: 2.1 s for 6480
+# A frame forward and backward through Table 1's network, 64 px, a quarter of the width, and the
+# share of that which pixels do not scale: 1.68 and 0.50 CPU h at 64 and 32 px, 92,160 passes of 30.
+TRAIN_FRAME_S, TRAIN_FIXED_SHARE = 0.0022, 0.065
+FORWARD_SHARE = 1 / 3  # validation and evaluation
+INSTRUMENT_FRAME_S = 0.0008  # 64 px
+CRITICISE_S = 40.0  # a case; 24 runs simulated again twice: 26 s
+REPORT_S, REPORT_BYTES = 10.0, 5e6  # 5 s, 0.6 MB in the smoke chain
+RELEASE_START_S, RELEASE_IMAGE_S = 2.0, 0.0003  # 4.5 s for 11520 images
+RELEASE_BYTES, RECORD_BYTES = 2.5e6, 8e3  # card, previews, sources; a simulation or image shard
+AUDIT_START_S, AUDIT_IMAGE_S = 2.0, 0.00045  # 23 s for 51 840 images of 112 px
+INGEST_FILM_S, FILM_BYTES = 1.5, 0.1  # a video of 97 frames; a pixel of H.264
 
-
-@dataclass(frozen=True)
-class Cost:
-    """A measured cost of one item and where the number comes from."""
-
-    value: float
-    unit: str
-    source: str
-
-
-# One core of a 2-core x86-64 virtual machine unless the source says otherwise.
-COSTS = {
-    "calibrate_s": Cost(
-        20.0, "CPU s", "5 s in the smoke chain, coarse; an allowance for finer ones"
-    ),
-    "strip_s": Cost(
-        1.2, "CPU s per push of the strip at steps of 20 ms or more", "demo: mean, busy machine"
-    ),
-    "simulate_step_s": Cost(
-        0.022,
-        "CPU s a time step of 41 x 41 vertices, no self-contact",
-        "demo, 24 simulations of the drop and one stroke, busy machine: 1060 CPU s, 48600 steps",
-    ),
-    "self_contact_step_s": Cost(
-        0.040,
-        "CPU s a nominal time step of 83 ms, 41 x 41 vertices that may touch themselves",
-        "the paper's grid, 300 frames, 1488 steps, two at a time: mean 60 CPU s",
-    ),
-    # Sparse Cholesky alone, of the order of V^1.5 operations for V vertices, would make it 3.
-    "simulate_size": Cost(
-        2.3,
-        "power of the vertices per side",
-        "166 simulations of 38 s at 21 x 21, 5.3 CPU s in the mean, beside 8 of 131 s at 41 x 41",
-    ),
-    "trajectory_bytes": Cost(
-        1.0, "bytes per vertex and frame", "mean of the paper's 160 simulations, the mesh included"
-    ),
-    "render_start_s": Cost(
-        1.0, "CPU s a Blender process", "smoke chain: 1.8 s with 8 frames at 32 px"
-    ),
-    "render_frame_s": Cost(
-        0.14,
-        "CPU s per frame at 112 px, 1 sample: traced, separated, smoothed, packed",
-        "busy machine: 0.145, 0.222, 0.075 by view",
-    ),
-    "mirror_factor": Cost(2.0, "of render_frame_s on a reflective floor", "two paths for one"),
-    "pack_bytes": Cost(8.0, "bytes per pixel", "112 px, matte"),
-    "compose_start_s": Cost(0.6, "CPU s per simulation", "imports, textures drawn"),
-    "look_frame_s": Cost(0.025, "CPU s per frame", "112 px: 0.017, 0.043, 0.009 by view"),
-    "texture_s": Cost(0.0045, "CPU s per image", "112 px: 2.0 to 6.6 ms, composed and encoded"),
-    "direct_pixel_s": Cost(
-        2.5e-4,
-        "CPU s per pixel at 256 samples; four times as many on a reflective floor",
-        "about 1 M camera samples per second and core",
-    ),
-    "image_bytes": Cost(
-        1.15,
-        "bytes per pixel of PNG",
-        "64 px, 810 images of one simulation in nine textures: calibrated 1.16, frontal 1.47, side "
-        "0.68; the paper's nine viewpoints have seven like the first; 1.7 at 32 px",
-    ),
-    "preview_s": Cost(0.8, "CPU s per simulation", "smoke chain: mean of 4"),
-    "preview_bytes": Cost(75e3, "bytes per simulation", "smoke chain, 32 px: mean of 4"),
-    "sample_s": Cost(0.0003, "CPU s per image", "demo: 2.1 s for 6480 images"),
-    "train_frame_s": Cost(
-        0.0022,
-        "CPU s per frame, forward and backward, 64 px, a quarter of the paper's width",
-        "Table 1's network, bfloat16, 92,160 passes of 30 frames: 1.68 CPU h",
-    ),
-    "train_fixed_share": Cost(
-        0.065, "of train_frame_s that pixels do not scale", "the same passes at 32 px: 0.50 CPU h"
-    ),
-    "instrument_frame_s": Cost(
-        0.0008, "CPU s per frame, forward and backward, 64 px", "112 px: 0.0020; busy machine"
-    ),
-    "criticise_s": Cost(
-        40.0, "CPU s per case", "24 runs simulated again twice: 26 s; an allowance"
-    ),
-    "forward_share": Cost(1 / 3, "of train_frame_s", "validation and evaluation: forward only"),
-    "report_s": Cost(10.0, "CPU s", "5 s in the smoke chain; an allowance for more"),
-    "release_s": Cost(
-        0.0003, "CPU s per image", "112 px: 4.5 CPU s for 11520 images, 1 s of it start"
-    ),
-    "release_start_s": Cost(2.0, "CPU s", "smoke chain: 2 s, most of it imports"),
-    "audit_s": Cost(0.00045, "CPU s per image", "112 px: 23 CPU s for 51 840 images"),
-    "audit_start_s": Cost(2.0, "CPU s", "smoke chain"),
-    "release_bytes": Cost(2.5e6, "bytes", "smoke chain: card, records, previews, sources"),
-    "record_bytes": Cost(8e3, "bytes per simulation or image shard", "smoke chain"),
-    "ingest_film_s": Cost(1.5, "CPU s per video", "97 frames of 160 px: 1.3 s, 1 s of it start"),
-    "film_bytes": Cost(0.1, "bytes per pixel", "H.264 at quality 26, noise 0.02; an allowance"),
-    "report_bytes": Cost(5e6, "bytes", "0.6 MB in the smoke chain; an allowance for more"),
-}
-
-# Resident memory (RSS) of the largest job, from benchmark files; published: see results/published.
+# Resident memory (MiB) of the largest job, from benchmark files of published runs and of the smoke
+# chain. Videos come on top: of a manifest (MiB each), and as often as a job holds them at its peak.
 MEMORY_MIB = {
-    "calibrate": Cost(302, "MiB", "published; smoke chain 275"),
-    "simulate": Cost(391, "MiB", "published; smoke chain 329; convergence, 81 x 81 vertices: 560"),
-    "render": Cost(675, "MiB", "published; smoke chain 578"),
-    "compose": Cost(692, "MiB", "published; smoke chain 380"),
-    "verify": Cost(625, "MiB", "smoke chain"),
-    "preview": Cost(323, "MiB", "smoke chain"),
-    "sample": Cost(205, "MiB", "smoke chain, 16 videos: 208; all videos come on top"),
-    "instrument": Cost(830, "MiB", "published, without the videos; smoke chain 462"),
-    "train": Cost(436, "MiB", "smoke chain, 0.4 MiB of videos; the videos come on top"),
-    "evaluate": Cost(528, "MiB", "smoke chain; the videos come on top"),
-    "criticise": Cost(625, "MiB", "a case of 24 runs; others 411"),
-    "report": Cost(512, "MiB", "smoke chain"),
-    "release": Cost(236, "MiB", "smoke chain"),
-    "audit": Cost(465, "MiB", "smoke chain"),
+    "calibrate": 302,
+    "simulate": 391,  # convergence, 81 x 81 vertices: 560
+    "render": 675,
+    "compose": 692,
+    "verify": 625,
+    "preview": 323,
+    "sample": 205,
+    "instrument": 830,
+    "train": 436,
+    "evaluate": 528,
+    "criticise": 625,  # a case of 24 runs; others 411
+    "report": 512,
+    "release": 236,
+    "audit": 465,
 }
 MEMORY_MARGIN = 2.0
-SAMPLE_VIDEO_MIB = Cost(
-    0.07, "MiB a video", "published: 742 MiB with 8280 videos, 317 with 1920: 0.065, 0.058"
-)
-# How often a job holds its decoded videos at its peak.
-VIDEOS_HELD = {
-    "train": Cost(4.2, "times", "published: 1867 MiB; colours are counted as 8-byte numbers"),
-    "instrument": Cost(3.2, "times", "published: 7655 MiB; while error bars are calibrated"),
-    "evaluate": Cost(1.0, "times", "an allowance: it reads those that test"),
-}
+SAMPLE_VIDEO_MIB = 0.07  # 742 MiB with 8280 videos, 317 with 1920
+VIDEOS_HELD = {"train": 4.2, "instrument": 3.2, "evaluate": 1.0}
 VIDEOS_MARGIN = 1.2
+JOB_KINDS = tuple(MEMORY_MIB)
 
 
 @dataclass(frozen=True)
@@ -149,110 +82,88 @@ class StageEstimate:
     disk_bytes: float
 
 
-def _cost(name: str) -> float:
-    return COSTS[name].value
-
-
-def _frames_rendered(config: Config) -> int:
-    return (
-        config.sample.frames_kept if config.render.frames == "sampled" else config.simulation.frames
-    )
-
-
-def _simulation_cpu_s(config: Config) -> float:
-    settings = config.simulation
+def _simulation_s(settings: SimulationSettings) -> float:
     steps = settings.frames / settings.frame_rate_hz / settings.time_step_s
-    size = (settings.vertices_per_side / 41) ** _cost("simulate_size")
-    step = "self_contact_step_s" if settings.self_contact else "simulate_step_s"
-    return _cost(step) * steps * size
+    step_s = SELF_CONTACT_STEP_S if settings.self_contact else SIMULATE_STEP_S
+    return step_s * steps * (settings.vertices_per_side / 41) ** SIMULATE_POWER
 
 
-def _strip_cpu_s(config: Config) -> float:
-    """The pushes of the calibration: every setting, fabric and friction coefficient."""
+def _calibration_s(config: Config) -> float:
+    """All jobs of the calibration; every setting pushes strips of all fabrics and coefficients."""
     calibrate, step_s = config.calibrate, config.simulation.time_step_s
-    pushes = len(calibrate.strip_frictions) * STRIP_FABRICS
     of_one_value = [len(getattr(calibrate, f"sweep_{key}")) for key in KEYS if key != "time_step_s"]
     steps = [step_s] * (1 + sum(of_one_value)) + list(calibrate.sweep_time_step_s)
-    return _cost("strip_s") * pushes * sum(max(1.0, 0.02 / step) for step in steps)
+    pushes = len(calibrate.strip_frictions) * STRIP_FABRICS
+    return CALIBRATE_S + STRIP_S * pushes * sum(max(1.0, 0.02 / step) for step in steps)
 
 
-def _mirrors(config: Config) -> float:
-    """Share of the image shards whose floor mirrors."""
-    shown = [floors_of(config.render, viewpoint) for _, viewpoint in films(config)]
-    shares = [
-        sum(FLOORS[name].reflectance[1] > 0 for name in floors) / len(floors) for floors in shown
-    ]
-    return sum(shares) / len(shares)
+def _mirror_share(floors: list[str]) -> float:
+    return sum(FLOORS[name].reflectance[1] > 0 for name in floors) / len(floors)
 
 
-def _videos(config: Config) -> int:
-    return sum(map(len, films(config).values()))
+class _Counted:
+    """What is counted of a configuration: simulations, image shards, videos, images."""
+
+    def __init__(self, config: Config):
+        shown = films(config)
+        self.runs, self.shards = len(simulations(config)), len(shown)
+        self.videos = sum(map(len, shown.values()))
+        of_view = Counter(viewpoint for _, viewpoint in shown)
+        # Shards of the viewpoints from which only some simulations are filmed.
+        self.drawn_shards = sum(count for count in of_view.values() if count < self.runs)
+        mirrors = [_mirror_share(floors_of(config.render, view)) for _, view in shown]
+        self.mirrors = sum(mirrors) / len(mirrors)
+        self.kept = config.sample.frames_kept
+        sampled = config.render.frames == "sampled"
+        self.frames = self.kept if sampled else config.simulation.frames
+        self.training_videos = self.runs * len(config.render.textures)
+        self.networks = sum(len(trainings(config.train, one)) for one in config.train.splits)
 
 
-def _drawn_shards(config: Config) -> int:
-    """Image shards of the viewpoints from which only some simulations are filmed."""
-    full = len(simulations(config))
-    counts = Counter(viewpoint for _, viewpoint in films(config))
-    return sum(count for count in counts.values() if count < full)
-
-
-def _render_cpu_s(config: Config) -> float:
-    """The light of one image shard, in the mean."""
-    images = _frames_rendered(config)
-    # Half of it does not depend on the image's size: 0.07 s at 64 px.
-    size = 0.5 + 0.5 * (config.render.pixels / 112) ** 2 * config.render.samples
-    size *= 1 + _mirrors(config) * (_cost("mirror_factor") - 1)
-    return _cost("render_start_s") + images * _cost("render_frame_s") * size
-
-
-def _compose_cpu_s(config: Config) -> float:
-    """One simulation's images from all its viewpoints in their textures, in the mean."""
-    shards, runs = len(films(config)), len(simulations(config))
-    each = shards * _cost("look_frame_s") + _videos(config) * _cost("texture_s")
-    starts = (runs + _drawn_shards(config)) * _cost("compose_start_s")
-    return (starts + _frames_rendered(config) * each) / runs
-
-
-def verification_cpu_s(config: Config) -> float:
-    """The images that are rendered directly."""
-    pixel = _cost("direct_pixel_s") * (1 + 3 * _mirrors(config))
-    image = _cost("render_start_s") + pixel * config.render.pixels**2
-    return config.render.verified_images * image
-
-
-def _image_bytes(config: Config) -> float:
-    return _cost("image_bytes") * config.render.pixels**2
-
-
-def _pack_bytes(config: Config) -> float:
-    return _cost("pack_bytes") * config.render.pixels**2
-
-
-def _frame_factor(config: Config) -> float:
-    """Work of the network on one frame, in units of 64 px at a quarter of the width."""
+def _frame_s(config: Config) -> float:
+    """One frame forward and backward through a network of the configured size."""
     pixels = config.train.pixels or config.render.pixels
-    fixed = _cost("train_fixed_share")
-    return (fixed + (1 - fixed) * (pixels / 64) ** 2) * _width2(config)
+    scaled = TRAIN_FIXED_SHARE + (1 - TRAIN_FIXED_SHARE) * (pixels / 64) ** 2
+    return TRAIN_FRAME_S * scaled * (config.train.width / 0.25) ** 2
 
 
-def _training_cpu_s(config: Config) -> float:
-    """One training: cycles over 1, 2, ... viewpoints, then the calibrated one alone."""
-    train = config.train
-    views = len(config.render.viewpoints)
+def _instrument_frame_s(config: Config) -> float:
+    return INSTRUMENT_FRAME_S * ((config.instrument.pixels or config.render.pixels) / 64) ** 2
+
+
+def _job_costs_s(config: Config, of: _Counted) -> dict[str, float]:
+    """Kind -> CPU seconds of one of its jobs, the mean where they differ."""
+    render, train, sample = config.render, config.train, config.sample
+    # Half of a frame's light does not depend on the image's size.
+    light_s = RENDER_FRAME_S * (0.5 + 0.5 * (render.pixels / 112) ** 2 * render.samples)
+    light_s *= 1 + of.mirrors * (MIRROR_FACTOR - 1)
+    composed_s = of.frames * (of.shards * COMPOSE_FRAME_S + of.videos * COMPOSE_IMAGE_S)
+    composed_s += (of.runs + of.drawn_shards) * COMPOSE_START_S
+    direct_s = DIRECT_PIXEL_S * (1 + 3 * of.mirrors) * render.pixels**2
+    # Cycles over 1, 2, ... viewpoints, then the calibrated one alone.
+    views = len(render.viewpoints)
     passes = train.epochs_per_cycle * views * (views + 1) / 2 + train.fine_tuning_epochs
-    validation = config.sample.validation_fraction
-    share = 1.0 - config.sample.test_fraction - validation * (1 - _cost("forward_share"))
-    videos = len(simulations(config)) * len(config.render.textures) * share
-    return passes * videos * config.sample.frames * _cost("train_frame_s") * _frame_factor(config)
-
-
-def _instrument_cpu_s(config: Config) -> float:
-    """One instrument: all epochs on the training videos of one viewpoint."""
-    share = 1.0 - config.sample.test_fraction
-    videos = len(simulations(config)) * len(config.render.textures) * share
-    pixels = config.instrument.pixels or config.render.pixels
-    frames = config.instrument.epochs * videos * config.sample.frames
-    return frames * _cost("instrument_frame_s") * (pixels / 64) ** 2
+    trained = 1.0 - sample.test_fraction - sample.validation_fraction * (1 - FORWARD_SHARE)
+    frames = of.training_videos * sample.frames
+    instrument_frames = config.instrument.epochs * (1.0 - sample.test_fraction) * frames
+    tested = of.videos * of.kept * of.networks * max(sample.test_fraction, 1 / of.runs)
+    return {
+        # One per swept setting, the configured ones, the choice with checks, the pictures.
+        "calibrate": _calibration_s(config) / (3 + len(KEYS)),
+        "simulate": _simulation_s(config.simulation),
+        "render": RENDER_START_S + of.frames * light_s,
+        "compose": composed_s / of.runs,
+        "verify": render.verified_images * (RENDER_START_S + direct_s),
+        "preview": PREVIEW_S,
+        "sample": of.videos * of.kept * SAMPLE_S,
+        "train": passes * trained * frames * _frame_s(config),
+        "instrument": instrument_frames * _instrument_frame_s(config),
+        "evaluate": tested * FORWARD_SHARE * _frame_s(config),
+        "criticise": CRITICISE_S,
+        "release": RELEASE_START_S + of.videos * of.kept * RELEASE_IMAGE_S,
+        "audit": AUDIT_START_S + of.videos * of.kept * AUDIT_IMAGE_S,
+        "report": REPORT_S,
+    }
 
 
 def estimate(config: Config) -> list[StageEstimate]:
@@ -260,158 +171,94 @@ def estimate(config: Config) -> list[StageEstimate]:
 
     The jobs are those that Snakemake counts, without its ``all``.
     """
-    runs, shards = len(simulations(config)), len(films(config))
-    videos = _videos(config)
-    sampled = videos * config.sample.frames_kept
-    networks = sum(len(trainings(config.train, one)) for one in config.train.splits)
-    instruments = len(config.train.splits) * len(config.instrument.seeds)
-    averages = len(config.train.splits) * (len(config.instrument.seeds) > 1)
-    vertices = config.simulation.vertices_per_side**2
-    trajectory = _cost("trajectory_bytes") * vertices * config.simulation.frames
-    evaluated = sampled * networks * max(config.sample.test_fraction, 1 / runs)
-    return [
-        # Jobs: one per swept setting, the configured ones, the choice with checks, the pictures.
-        StageEstimate("calibrate", 3 + len(KEYS), _cost("calibrate_s") + _strip_cpu_s(config), 1e6),
-        StageEstimate("simulate", runs, runs * _simulation_cpu_s(config), runs * trajectory),
-        StageEstimate(
-            "render",
-            shards + _drawn_shards(config) + 2 * runs + 1,
-            shards * _render_cpu_s(config)
-            + runs * (_compose_cpu_s(config) + _cost("preview_s"))
-            + verification_cpu_s(config),
-            videos * _frames_rendered(config) * _image_bytes(config)
-            + shards * _frames_rendered(config) * _pack_bytes(config)
-            + runs * _cost("preview_bytes"),
+    of = _Counted(config)
+    one_s = _job_costs_s(config, of)
+    image_bytes = IMAGE_BYTES * config.render.pixels**2
+    trajectory = TRAJECTORY_BYTES * config.simulation.vertices_per_side**2
+    splits, seeds = len(config.train.splits), len(config.instrument.seeds)
+    instruments, averages = splits * seeds, splits * (seeds > 1)
+    jobs = {
+        "calibrate": (3 + len(KEYS), 1e6),
+        "simulate": (of.runs, of.runs * trajectory * config.simulation.frames),
+        "render": (
+            of.shards + of.drawn_shards + 2 * of.runs + 1,
+            of.videos * of.frames * image_bytes
+            + of.shards * of.frames * PACK_BYTES * config.render.pixels**2
+            + of.runs * PREVIEW_BYTES,
         ),
-        # The table of ids counts here.
-        StageEstimate("sample", 2, sampled * _cost("sample_s"), sampled * _image_bytes(config)),
-        StageEstimate(
-            "train", networks, networks * _training_cpu_s(config), networks * 4e6 * _width2(config)
-        ),
-        StageEstimate(
-            "instrument",
-            instruments + averages,
-            instruments * _instrument_cpu_s(config),
-            instruments * 2e6 + averages * 4e6,
-        ),
-        StageEstimate(
-            "evaluate",
+        "sample": (2, of.videos * of.kept * image_bytes),  # the table of ids counts here
+        "train": (of.networks, of.networks * 4e6 * (config.train.width / 0.25) ** 2),
+        "instrument": (instruments + averages, instruments * 2e6 + averages * 4e6),
+        "evaluate": (1, 1e6),
+        "criticise": (len(config.criticise.cases), 1e6 * len(config.criticise.cases)),
+        "release": (
             1,
-            evaluated * _cost("forward_share") * _cost("train_frame_s") * _frame_factor(config),
-            1e6,
+            RELEASE_BYTES
+            + of.videos * of.kept * image_bytes
+            + (of.shards + 2 * of.runs) * RECORD_BYTES,
         ),
-        StageEstimate(
-            "criticise",
-            len(config.criticise.cases),
-            len(config.criticise.cases) * _cost("criticise_s"),
-            1e6 * len(config.criticise.cases),
-        ),
-        _release(config),
-        StageEstimate(
-            "audit", 1, _cost("audit_start_s") + sampled * _cost("audit_s"), 1e5 + 30.0 * videos
-        ),
-        StageEstimate("report", 1, _cost("report_s"), _cost("report_bytes")),
+        "audit": (1, 1e5 + 30.0 * of.videos),
+        "report": (1, REPORT_BYTES),
+    }
+    whole_s = {stage: count * one_s[stage] for stage, (count, _) in jobs.items()}
+    whole_s["render"] = of.shards * one_s["render"] + one_s["verify"]
+    whole_s["render"] += of.runs * (one_s["compose"] + one_s["preview"])
+    whole_s |= {"sample": one_s["sample"], "instrument": instruments * one_s["instrument"]}
+    return [
+        StageEstimate(stage, count, whole_s[stage], disk) for stage, (count, disk) in jobs.items()
     ]
 
 
-def _release(config: Config) -> StageEstimate:
-    images = _videos(config) * config.sample.frames_kept
-    shards = len(films(config)) + 2 * len(simulations(config))
-    return StageEstimate(
-        "release",
-        1,
-        _cost("release_start_s") + images * _cost("release_s"),
-        _cost("release_bytes") + images * _image_bytes(config) + shards * _cost("record_bytes"),
-    )
-
-
-def _training_simulations(config: Config) -> float:
-    """Those that neither test nor watch."""
-    held = config.sample.validation_fraction + config.sample.test_fraction
-    grid = config.grid
-    return len(grid.materials) * len(grid.frictions) * grid.replicates * (1.0 - held)
-
-
 def estimate_ablate(config: Config) -> StageEstimate:
-    """Cost of the ablations, were all answered; they are not part of the chain.
-
-    In units of one network passing once through one video of each training simulation: three ways
-    to condition and a material network, two schedules of all viewpoints, three initialisations,
-    twice two variants of about as many videos with either network.
-    """
-    ablate = config.ablate
-    trained = config.train.model_copy(update=ablate.train)
-    looked = config.instrument.model_copy(update=ablate.instrument)
-    textures_each = ablate.textures_per_simulation or len(config.render.textures)
-    frames = _training_simulations(config) * textures_each * config.sample.frames
-    factor = _frame_factor(config.model_copy(update={"train": trained}))
-    lrcn = frames * ablate.passes * _cost("train_frame_s") * factor
-    side = (looked.pixels or config.render.pixels) / 64
-    instrument = frames * ablate.instrument_passes * _cost("instrument_frame_s") * side**2
-    networks = {
-        "diversity": (2, 2),
-        "conditioning": (4, 0),
-        "schedule": (2 * len(config.render.viewpoints), 0),
-        "initialisation": (3, 0),
-        "floors": (2, 2),
-    }
-    asked = [networks[name] for name in ablate.asked]
-    of_kind = [sum(column) for column in zip(*asked, strict=True)]
-    cpu_s = sum(
-        count * cost
-        for count, cost, name in zip(
-            of_kind, (lrcn, instrument), ("lrcn", "instrument"), strict=True
-        )
-        if name in ablate.networks
-    )
-    seeds = len(ablate.seeds)
-    return StageEstimate("ablate", len(ablate.results) + 1, seeds * cpu_s, seeds * 16 * 4e6)
+    """Cost of the ablations, were all answered; they are not part of the chain."""
+    ablate, sample = config.ablate, config.sample
+    train = config.train.model_copy(update=ablate.train)
+    instrument = config.instrument.model_copy(update=ablate.instrument)
+    changed = config.model_copy(update={"train": train, "instrument": instrument})
+    each = ablate.textures_per_simulation or len(config.render.textures)
+    held = sample.validation_fraction + sample.test_fraction
+    grid = config.grid
+    runs = len(grid.materials) * len(grid.frictions) * grid.replicates * (1.0 - held)
+    frames = runs * each * sample.frames
+    lrcn_s = frames * ablate.passes * _frame_s(changed)
+    instrument_s = frames * ablate.instrument_passes * _instrument_frame_s(changed)
+    cpu_s = 0.0
+    for name in ablate.results:
+        question, _, variant = name.partition("/")
+        views = len(config.render.viewpoints) if question == "schedule" else 1
+        cpu_s += views * (lrcn_s if variant.startswith("lrcn") else instrument_s)
+    return StageEstimate("ablate", len(ablate.results) + 1, cpu_s, 4e6 * len(ablate.results))
 
 
 def estimate_captures(config: Config) -> StageEstimate:
     """Cost of surrogate captures and what is made of them; they are not part of the chain."""
     settings, training = config.captures, config.simulation
-    duration_s = training.frames / training.frame_rate_hz
-    made = training.model_copy(
-        update={
-            "vertices_per_side": settings.vertices_per_side,
-            "time_step_s": settings.time_step_s,
-        }
-    )
-    films = 0 if settings.table else len(settings.pairs) * settings.repeats
+    if settings.table:
+        return StageEstimate("captures", 2 + bool(settings.angles), 0.0, 0.0)
+    films = len(settings.pairs) * settings.repeats
+    keys = ("vertices_per_side", "time_step_s")
+    made = training.model_copy(update={key: getattr(settings, key) for key in keys})
     # The start at the full rate, then every so many-th frame; the image is a square with a margin.
+    duration_s = training.frames / training.frame_rate_hz
     frames = 12.0 * (3 + duration_s / settings.later_every)
-    size = 0.5 + 0.5 * (1.12 * settings.width_px / 112) ** 2 * config.render.samples
-    mirrors = sum(FLOORS[pair.substrate].reflectance[1] > 0 for pair in settings.pairs)
-    size *= 1 + mirrors / len(settings.pairs) * (_cost("mirror_factor") - 1)
-    each = _simulation_cpu_s(config.model_copy(update={"simulation": made}))
-    each += _cost("render_start_s") + frames * size * _cost("render_frame_s")
-    return StageEstimate(
-        "captures",
-        2 + bool(settings.angles) if settings.table else films + 4,
-        films * (each + _cost("ingest_film_s")),
-        films * (frames * _cost("film_bytes") * settings.width_px**2 * 0.75 + 1e6),
+    light_s = RENDER_FRAME_S * (
+        0.5 + 0.5 * (1.12 * settings.width_px / 112) ** 2 * config.render.samples
     )
+    mirrors = _mirror_share([pair.substrate for pair in settings.pairs])
+    light_s *= 1 + mirrors * (MIRROR_FACTOR - 1)
+    each_s = _simulation_s(made) + RENDER_START_S + frames * light_s + INGEST_FILM_S
+    each_bytes = frames * FILM_BYTES * settings.width_px**2 * 0.75 + 1e6
+    return StageEstimate("captures", films + 4, films * each_s, films * each_bytes)
 
 
-def _width2(config: Config) -> float:
-    return (config.train.width / 0.25) ** 2
-
-
-JOB_KINDS = tuple(MEMORY_MIB)
-
-
-def _video_bytes(config: Config, kind: str = "train") -> float:
+def _video_bytes(config: Config, kind: str) -> float:
     """The decoded videos, which training and evaluation hold as a whole."""
-    side, videos = config.train.pixels or config.render.pixels, _videos(config)
+    shown, pixels = films(config), config.train.pixels
     if kind == "instrument":
-        names = viewpoint_ids(config.render)
-        side = config.instrument.pixels or config.render.pixels
-        videos = sum(
-            len(textures)
-            for (_, view), textures in films(config).items()
-            if names[view] in instrument_views(config)
-        )
+        names, wanted = viewpoint_ids(config.render), instrument_views(config)
+        shown = {film: worn for film, worn in shown.items() if names[film[1]] in wanted}
+        pixels = config.instrument.pixels
+    videos, side = sum(map(len, shown.values())), pixels or config.render.pixels
     return 3.0 * videos * config.sample.frames_kept * side**2
 
 
@@ -427,34 +274,20 @@ def job_memory_mb(kind: str, config: Config | None = None) -> int:
     config : Config, optional
         For kinds whose memory grows with the dataset.
     """
-    needed = MEMORY_MARGIN * MEMORY_MIB[kind].value * 2**20
+    needed = MEMORY_MARGIN * MEMORY_MIB[kind] * 2**20
     if config is not None and kind == "sample":
-        needed += MEMORY_MARGIN * SAMPLE_VIDEO_MIB.value * _videos(config) * 2**20
+        needed += MEMORY_MARGIN * SAMPLE_VIDEO_MIB * _Counted(config).videos * 2**20
     if config is not None and kind in VIDEOS_HELD:
-        needed += VIDEOS_MARGIN * VIDEOS_HELD[kind].value * _video_bytes(config, kind)
+        needed += VIDEOS_MARGIN * VIDEOS_HELD[kind] * _video_bytes(config, kind)
     return 256 * math.ceil(needed / 256e6)
 
 
 def job_cpu_s(kind: str, config: Config) -> float:
-    """CPU seconds of one job of a kind, the mean where a stage's jobs differ.
-
-    Parameters
-    ----------
-    kind : str
-        One of `JOB_KINDS`: a stage, or ``compose``, ``verify``, ``preview`` of rendering.
-    config : Config
-    """
-    if kind in ("preview", "criticise"):
-        return _cost(f"{kind}_s")
-    if kind == "render":
-        return _render_cpu_s(config)
-    if kind == "compose":
-        return _compose_cpu_s(config)
-    if kind == "verify":
-        return verification_cpu_s(config)
-    stages = [*estimate(config), estimate_ablate(config)]
-    whole = next(stage for stage in stages if stage.stage == kind)
-    return whole.cpu_s / whole.jobs
+    """CPU seconds of one job of `JOB_KINDS` or of the ablations, the mean where jobs differ."""
+    if kind == "ablate":
+        whole = estimate_ablate(config)
+        return whole.cpu_s / whole.jobs
+    return _job_costs_s(config, _Counted(config))[kind]
 
 
 def job_runtime_min(kind: str, config: Config) -> int:
@@ -478,9 +311,8 @@ def estimate_line(config: Config) -> str:
 
 def estimate_table(config: Config) -> str:
     """`estimate` as aligned text; ablations, captures and the line of the whole chain last."""
-    apart = [estimate_ablate(config), estimate_captures(config)]
     rows = [("stage", "jobs", "time", "disk")] + [
         (stage.stage, str(stage.jobs), _time(stage.cpu_s), size(stage.disk_bytes))
-        for stage in [*estimate(config), *apart]
+        for stage in [*estimate(config), estimate_ablate(config), estimate_captures(config)]
     ]
     return "\n".join([*aligned(rows), estimate_line(config)])

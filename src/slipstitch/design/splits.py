@@ -9,7 +9,7 @@ what a network is worth on a cloth that it has never watched move. docs/how/lear
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -152,42 +152,62 @@ def split_by_simulation(
     first = int(np.random.default_rng(seed).integers(max(1, len(materials))))
     sides = dict.fromkeys(everything, "train")
     for row, friction in enumerate(frictions):
-        turn = first + row
-        if hold_out == "pair":
-            held_materials = _held(len(materials), held_fraction)
-            turn = first + row * held_materials
-        around = [materials[(turn + step) % len(materials)] for step in range(len(materials))]
-        if hold_out == "pair":
-            pool = [
-                [(material, friction, replicate) for replicate in replicates[material, friction]]
-                for material in around[:held_materials]
-            ]
-        else:
-            by_age: dict[int, list] = defaultdict(list)  # all pairs' last but one, then their last
-            for material in around:
-                names = replicates[material, friction]
-                for age, name in enumerate(names[-_held(len(names), held_fraction) :]):
-                    by_age[age].append([(material, friction, name)])
-            pool = [group for age in sorted(by_age) for group in by_age[age]]
+        of_material = {material: replicates[material, friction] for material in materials}
+        pool = _held_pool(of_material, row, first, held_fraction, hold_out)
         validations = int(len(pool) * validation_fraction / held_fraction + 1e-9)
         for place, group in enumerate(pool):
-            for simulation in group:
-                sides[simulation] = "validation" if place < validations else "test"
+            for material, replicate in group:
+                side = "validation" if place < validations else "test"
+                sides[material, friction, replicate] = side
+    _check_every_class_trains(sides)
+    return sides
 
+
+def _held_pool(
+    replicates: Mapping[str, Sequence[str]], row: int, first: int, fraction: float, hold_out: str
+) -> list[list[tuple[str, str]]]:
+    """Groups of (material, replicate) that one friction coefficient holds out, in turn.
+
+    Parameters
+    ----------
+    replicates : mapping
+        Material -> its replicates at the coefficient.
+    row, first : int
+        Number of the coefficient; where the rounds of the materials start.
+    fraction : float
+        Share to hold out.
+    hold_out : {"replicate", "pair"}
+    """
+    materials = list(replicates)
+    held = _held(len(materials), fraction) if hold_out == "pair" else len(materials)
+    turn = first + row * (held if hold_out == "pair" else 1)
+    around = [materials[(turn + step) % len(materials)] for step in range(held)]
+    if hold_out == "pair":
+        return [[(material, name) for name in replicates[material]] for material in around]
+    by_age: dict[int, list] = defaultdict(list)  # all pairs' last but one, then their last
+    for material in around:
+        names = replicates[material]
+        for age, name in enumerate(names[-_held(len(names), fraction) :]):
+            by_age[age].append([(material, name)])
+    return [group for age in sorted(by_age) for group in by_age[age]]
+
+
+def _check_every_class_trains(sides: Mapping[tuple[str, str, str], str]) -> None:
+    """Refuse a split by simulation that tests nothing, or leaves a class without training."""
+    classes = [sorted({simulation[place] for simulation in sides}) for place in (0, 1)]
     if "test" not in sides.values():
         raise BadInput(
-            f"by_simulation has nothing to hold out in {len(materials)} material(s) with one "
+            f"by_simulation has nothing to hold out in {len(classes[0])} material(s) with one "
             "replicate each: at least 2 replicates are needed, or 2 materials"
         )
     trained = [simulation for simulation, side in sides.items() if side == "train"]
-    for position, kind, names in ((0, "material", materials), (1, "friction", frictions)):
-        untrained = sorted(set(names) - {simulation[position] for simulation in trained})
+    for position, kind in enumerate(("material", "friction")):
+        untrained = sorted(set(classes[position]) - {one[position] for one in trained})
         if untrained:
             raise BadInput(
                 f"by_simulation would leave {kind} {untrained[0]} without any training simulation: "
                 "at least 2 replicates are needed, or 2 materials with 2 friction coefficients"
             )
-    return sides
 
 
 def _held(count: int, fraction: float) -> int:

@@ -1,7 +1,13 @@
-"""Cost section of the report: time and memory of every stage, failures, provenance."""
+"""What jobs cost, by Snakemake's benchmark files and the logs beside them, and every stage."""
 
+import csv
+import math
+import os
+import re
 from collections.abc import Sequence
+from dataclasses import dataclass
 from datetime import UTC, datetime
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,7 +16,110 @@ from matplotlib.figure import Figure
 from slipstitch.base.page.figures import new_figure, styled, svg_uri
 from slipstitch.base.page.palette import BLUE, PALE_BLUE
 from slipstitch.base.page.wording import NONE, duration
-from slipstitch.report.results import Benchmark, Results, Table
+from slipstitch.report.results import Results, Table
+
+STAGES = (
+    "calibrate", "simulate", "convergence", "render", "sample", "train", "instrument", "evaluate",
+    "criticise", "release", "audit", "report",
+)  # fmt: skip
+SAID_CPU_TIME = re.compile(r"(?:^CPU time: |[,:] )(\d+\.\d+) (?:CPU )?s$", re.M)
+SAID_EARLIER = re.compile(r"^wall time of earlier attempts: (\d+\.\d+) s$", re.M)
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """Cost of the jobs of one stage: sums and medians of times (s), the largest memory (MiB)."""
+
+    stage: str
+    jobs: int
+    wall_s: float
+    cpu_s: float
+    wall_median_s: float
+    cpu_median_s: float
+    memory_mib: float | None
+
+
+@dataclass(frozen=True)
+class Measured:
+    """Cost of a finished job from its benchmark file (s, MiB); NaN if it was too short."""
+
+    wall_s: float
+    cpu_s: float
+    memory_mib: float
+
+
+def read_benchmark(path: str | os.PathLike) -> Measured | None:
+    """Cost of a job by its benchmark file; None if it is missing or empty.
+
+    Snakemake looks at a process every 30 s and misses what it uses after the last look; the CPU
+    time is the one that the verb says at the end of the log of the same name, if it does. There it
+    also says what attempts took that were killed and continued, of which Snakemake knows nothing.
+    """
+    try:
+        with open(path, encoding="utf-8", errors="replace") as stream:
+            rows = list(csv.DictReader(stream, delimiter="\t"))
+    except (OSError, csv.Error):
+        return None
+    if not rows:
+        return None
+    wall = _number(rows[-1].get("s"))
+    if math.isnan(wall):
+        return None
+    said = _end_of_log(Path(path))
+    cpu_s = _last(SAID_CPU_TIME, said) or _number(rows[-1].get("cpu_time"))
+    return Measured(wall + _last(SAID_EARLIER, said), cpu_s, _number(rows[-1].get("max_rss")))
+
+
+def _last(pattern: re.Pattern[str], text: str) -> float:
+    """The last number that is said in a text; 0 if none is."""
+    found = pattern.findall(text)
+    return float(found[-1]) if found else 0.0
+
+
+def _end_of_log(benchmark: Path) -> str:
+    """The end of the log beside a benchmark file, logs/STAGE/JOB.log; empty if there is none."""
+    log = benchmark.parents[2] / "logs" / benchmark.parent.name / f"{benchmark.stem}.log"
+    try:
+        with open(log, "rb") as stream:
+            stream.seek(max(0, os.path.getsize(log) - 200))
+            return stream.read().decode(errors="replace")
+    except OSError:
+        return ""
+
+
+def _number(text: Any) -> float:
+    """A cell as a number; Snakemake writes ``-`` or ``NA`` for a job too short to be measured."""
+    try:
+        return float(text)
+    except (TypeError, ValueError):
+        return math.nan
+
+
+def benchmarks(folder: Path, job_classes: bool = False) -> list[Benchmark]:
+    """Cost of every stage that has benchmark files, in the order of the chain.
+
+    With `job_classes`, of every class of jobs that the files' names tell: ``render/shade``.
+    """
+    classes: dict[tuple[int, str], list[Path]] = {}
+    for path in sorted((folder / "benchmarks").glob("*/*.tsv")):
+        stage = name = path.parent.name
+        if job_classes:
+            # A network, or the word before what the job was of: sweep_..., shade_...
+            job = re.search(r"[a-z]+_[a-z]+(?=_seed)|^(?!by_)[a-z]+(?=_|$)", path.stem)
+            name += f"/{job[0]}" if job else ""
+        order = STAGES.index(stage) if stage in STAGES else len(STAGES)
+        classes.setdefault((order, name), []).append(path)
+    found = []
+    for (_, name), paths in sorted(classes.items()):
+        jobs = [cost for path in paths if (cost := read_benchmark(path))]
+        if jobs:
+            wall = [job.wall_s for job in jobs]
+            cpu = [job.cpu_s for job in jobs if not math.isnan(job.cpu_s)] or [math.nan]
+            memory = [job.memory_mib for job in jobs if not math.isnan(job.memory_mib)]
+            medians = float(np.median(wall)), float(np.median(cpu))
+            largest = max(memory, default=None)
+            found.append(Benchmark(name, len(wall), sum(wall), sum(cpu), *medians, largest))
+    return found
 
 
 def cost_section(benchmarks: Sequence[Benchmark]) -> dict[str, Any] | None:
@@ -33,10 +142,10 @@ def cost_section(benchmarks: Sequence[Benchmark]) -> dict[str, Any] | None:
 def failure_table(results: Results) -> Table:
     """Every failed attempt at a job."""
     rows = []
-    for failure in results.failures():
-        when = datetime.fromtimestamp(failure.time_s, UTC).strftime("%Y-%m-%d %H:%M")
-        made = ", ".join(failure.output[:2]) + (" ..." if len(failure.output) > 2 else "")
-        rows.append([when, failure.rule, made, ", ".join(failure.log), failure.then])
+    for event, then in results.failures():
+        when = datetime.fromtimestamp(event.time, UTC).strftime("%Y-%m-%d %H:%M")
+        made = ", ".join(event.output[:2]) + (" ..." if len(event.output) > 2 else "")
+        rows.append([when, event.rule, made, ", ".join(event.log), then])
     return ["when (UTC)", "job", "output", "log", "status"], rows
 
 

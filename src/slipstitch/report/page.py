@@ -4,7 +4,7 @@ import os
 from collections.abc import Mapping, Sequence
 from datetime import datetime
 from itertools import pairwise
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import Any
 
 import yaml
@@ -14,13 +14,14 @@ from slipstitch.base.page.templates import render
 from slipstitch.base.page.wording import time_of_making
 from slipstitch.base.provenance import provenance_record, start_clock, write_text
 from slipstitch.config import Config
+from slipstitch.criticise.statement import second_sentence, statement
+from slipstitch.criticise.within_runs import words
 from slipstitch.design.grid import films
 from slipstitch.design.trainable import view_order
 from slipstitch.learning.evaluation import paper
 from slipstitch.report import learning_pictures, scores
 from slipstitch.report.captures import figure_6
-from slipstitch.report.cost import cost_section, failure_table, provenance
-from slipstitch.report.criticism import criticism_section
+from slipstitch.report.cost import benchmarks, cost_section, failure_table, provenance
 from slipstitch.report.dataset import dataset, film
 from slipstitch.report.headline import headline
 from slipstitch.report.physics import convergence, physics, simulation_section
@@ -83,11 +84,51 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
         "criticism": criticism_section(results),
         "audit": results.json("audit", "audit.json"),
         "release_preview": results.picture("release", "previews", "through_time.png"),
-        "cost": cost_section(results.benchmarks()),
+        "cost": cost_section(benchmarks(results.folder)),
         "runs": len(results.runs()),
         "failures": failure_table(results),
         "provenance": provenance(results),
     }
+
+
+def criticism_section(results: Results) -> list[dict[str, Any]]:
+    """Verdict, picture and gain of every case that was judged: measured ones first.
+
+    A case with a finding stands before those without; surrogates, which are simulated with a hidden
+    effect, stand last. The first of both kinds is to be ``shown``.
+    """
+    shown = []
+    for name in [PurePath(case).name for case in results.config.criticise.cases]:
+        verdict = results.json("criticise", name, "verdict.json")
+        if verdict is None:
+            continue
+        again = results.json("criticise", name, "resimulation.json") or {}
+        shown.append(
+            {
+                "name": name,
+                "title": name.replace("_", " ").capitalize(),
+                "surrogate": name.startswith("surrogate"),
+                "verdict": _first_sentence(statement(verdict)),
+                "finding": _finding(verdict),
+                "again": again.get("all"),
+                "picture": results.picture("criticise", name, "picture.svg"),
+            }
+        )
+    shown.sort(key=lambda case: (case["surrogate"], case["finding"] is None))
+    kinds = [case["surrogate"] for case in shown]
+    return [case | {"shown": kinds.index(case["surrogate"]) == k} for k, case in enumerate(shown)]
+
+
+def _finding(verdict: dict[str, Any]) -> str | None:
+    """What the simulation gets wrong, with its gain; None where nothing was found."""
+    if verdict["verdict"] in ("cause", "confounded", "unknown"):
+        return f"{_first_sentence(statement(verdict))} {second_sentence(verdict)}"
+    return next(iter(words(verdict.get("within_runs", {}))), None)
+
+
+def _first_sentence(text: str) -> str:
+    """The text up to its first full stop."""
+    return text.partition(". ")[0].rstrip(".") + "."
 
 
 def render_page(context: Mapping[str, Any]) -> str:

@@ -14,6 +14,7 @@ from slipstitch.base.page.palette import BLUE, FAINT, GREEN, ORANGE, PINK, SOFT,
 from slipstitch.base.page.wording import counted, evenly, quantity
 from slipstitch.design.grid import simulations
 from slipstitch.physics.simulation.convergence import studied_settings_that_differ
+from slipstitch.report.cost import benchmarks
 from slipstitch.report.results import Results, SimulationSummary, Table
 
 MOST_FRICTIONS_SHOWN = 6
@@ -123,7 +124,7 @@ def simulation_section(results: Results) -> dict[str, Any]:
     for run in runs:
         first.setdefault((run.simulation.material, run.simulation.friction), run)
     residual, tolerance = results.largest_residual()
-    costs = {stage.stage: stage.cpu_median_s for stage in results.benchmarks()}
+    costs = {stage.stage: stage.cpu_median_s for stage in benchmarks(results.folder)}
     return {
         "planned": len(planned),
         "done": len(done),

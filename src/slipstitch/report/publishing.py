@@ -32,10 +32,9 @@ from slipstitch.dataset.manifest import MANIFEST, read_manifest
 from slipstitch.design.trainable import keeps_networks_of_all_views, trainings
 from slipstitch.physics.simulation.convergence import measured_convergence
 from slipstitch.physics.simulation.trajectory import read_trajectory
-from slipstitch.report.benchmark import read_benchmark
-from slipstitch.report.results import STAGES, Results
+from slipstitch.report.cost import STAGES, benchmarks, read_benchmark
+from slipstitch.report.results import Results
 
-# In the folder of the results, as records call files elsewhere by their names alone.
 _AGAIN = "run slipstitch evaluate again, in the folder that contains the results"
 # What the workflow keeps below the results beside its stages.
 _KEPT = (*STAGES, "ablate", "captures", "benchmarks", "logs")
@@ -375,7 +374,7 @@ def _without_runs(content: Any) -> Any:
 
 def _describe_run(results: Results, folder: Path) -> None:
     """Write what jobs and simulations cost, and the records of the stages."""
-    costs = [asdict(cost) for cost in results.benchmarks(job_classes=True)]
+    costs = [asdict(cost) for cost in benchmarks(results.folder, job_classes=True)]
     write_json(folder / "cost.json", json.loads(json.dumps(costs).replace("NaN", "null")))
     if solved := list(_simulations(results)):
         pandas.DataFrame(solved).to_csv(folder / "simulations.csv", index=False)

@@ -4,7 +4,6 @@ import csv
 import io
 import math
 import os
-import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -28,13 +27,8 @@ from slipstitch.dataset.manifest import MANIFEST, read_manifest
 from slipstitch.design.grid import Simulation, simulations
 from slipstitch.design.trainable import trainings
 from slipstitch.physics.simulation.trajectory import read_trajectory
-from slipstitch.report.benchmark import read_benchmark
-from slipstitch.report.status.runs import Failure, Run, failures, read_runs
+from slipstitch.report.status import Event, Run, failures, read_runs
 
-STAGES = (
-    "calibrate", "simulate", "convergence", "render", "sample", "train", "instrument", "evaluate",
-    "criticise", "release", "audit", "report",
-)  # fmt: skip
 Rows = list[dict[str, Any]]
 Table = tuple[list[str], list[list[str]]]  # headings, cells as they are shown
 
@@ -51,19 +45,6 @@ class SimulationSummary:
     time_s: np.ndarray
     stage_z_m: np.ndarray
     centre_m: np.ndarray
-
-
-@dataclass(frozen=True)
-class Benchmark:
-    """Cost of the jobs of one stage: sums and medians of times (s), the largest memory (MiB)."""
-
-    stage: str
-    jobs: int
-    wall_s: float
-    cpu_s: float
-    wall_median_s: float
-    cpu_median_s: float
-    memory_mib: float | None
 
 
 @dataclass(frozen=True)
@@ -241,38 +222,12 @@ class Results:
             weights.append({inputs[name] for name in inputs if name.endswith(".safetensors")})
         return not weights[0] <= weights[1]
 
-    def benchmarks(self, job_classes: bool = False) -> list[Benchmark]:
-        """Cost of every stage that has benchmark files, in the order of the chain.
-
-        With `job_classes`, of every class of jobs that the files' names tell: ``render/shade``.
-        """
-        classes: dict[tuple[int, str], list[Path]] = {}
-        for path in sorted((self.folder / "benchmarks").glob("*/*.tsv")):
-            stage = name = path.parent.name
-            if job_classes:
-                # A network, or the word before what the job was of: sweep_..., shade_...
-                job = re.search(r"[a-z]+_[a-z]+(?=_seed)|^(?!by_)[a-z]+(?=_|$)", path.stem)
-                name += f"/{job[0]}" if job else ""
-            order = STAGES.index(stage) if stage in STAGES else len(STAGES)
-            classes.setdefault((order, name), []).append(path)
-        found = []
-        for (_, name), paths in sorted(classes.items()):
-            jobs = [cost for path in paths if (cost := read_benchmark(path))]
-            if jobs:
-                wall = [job.wall_s for job in jobs]
-                cpu = [job.cpu_s for job in jobs if not math.isnan(job.cpu_s)] or [math.nan]
-                memory = [job.memory_mib for job in jobs if not math.isnan(job.memory_mib)]
-                medians = float(np.median(wall)), float(np.median(cpu))
-                largest = max(memory, default=None)
-                found.append(Benchmark(name, len(wall), sum(wall), sum(cpu), *medians, largest))
-        return found
-
     def runs(self) -> list[Run]:
         """Runs of the workflow that left a journal, the last one last."""
         return read_runs(self.folder)
 
-    def failures(self) -> list[Failure]:
-        """Every failed attempt at a job, the oldest first."""
+    def failures(self) -> list[tuple[Event, str]]:
+        """Every failed attempt at a job, the oldest first, and what became of the job."""
         return failures(self.folder, self.runs())
 
     def provenance(self) -> list[tuple[str, dict[str, Any]]]:

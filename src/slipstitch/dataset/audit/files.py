@@ -21,13 +21,11 @@ from slipstitch.dataset.audit.admission import (
     short_texts,
     text_columns,
 )
-from slipstitch.dataset.audit.contents import Contents
+from slipstitch.dataset.audit.contents import Contents, Lineage
 from slipstitch.dataset.audit.findings import Finding, Kind, not_part
-from slipstitch.dataset.audit.lineage import Lineage
-from slipstitch.dataset.images import DATASET_SCHEMA
+from slipstitch.dataset.images import DATASET_SCHEMA, decode
 from slipstitch.dataset.release.checksums import files_below
 from slipstitch.dataset.release.shards import FOLDER, shard_schema
-from slipstitch.dataset.shards import decode
 
 # Labels of an image that its video's row of the manifest repeats: column there -> column here.
 SHARED = {

@@ -16,20 +16,19 @@ from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import file_digest
 from slipstitch.config import Config
 from slipstitch.config.catalogue import FABRICS_FILE
-from slipstitch.dataset.audit.contents import Contents
+from slipstitch.dataset.audit.contents import SAMPLED_MANIFEST, Contents, Lineage
 from slipstitch.dataset.audit.files import Shard
 from slipstitch.dataset.audit.findings import Finding, Kind
-from slipstitch.dataset.audit.lineage import SAMPLED_MANIFEST, Lineage
-from slipstitch.dataset.labels import video_labels
-from slipstitch.dataset.manifest import dataset_digest
-from slipstitch.dataset.release.code import PACKAGE_SOURCES, SOURCES
+from slipstitch.dataset.manifest import dataset_digest, video_labels
 from slipstitch.dataset.release.currency import (
+    PACKAGE_SOURCES,
+    SOURCES,
     catalogue_changes,
     config_changes,
     current_digest,
     recorded_entries,
 )
-from slipstitch.dataset.release.manifest import MANIFEST, sampled_rows
+from slipstitch.dataset.release.manifest import MANIFEST, PREFIX, parts, sampled_rows, split_columns
 from slipstitch.dataset.release.records import (
     RELEASE_RECORD,
     VERIFICATION,
@@ -39,7 +38,6 @@ from slipstitch.dataset.release.records import (
     is_ours,
     record_file,
 )
-from slipstitch.dataset.release.splits import PREFIX, parts, split_columns
 from slipstitch.design.sampled_frames import sampled_frames
 from slipstitch.design.stage_path import StagePath
 from slipstitch.physics.fabric import fabric_digest

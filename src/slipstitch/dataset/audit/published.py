@@ -1,18 +1,17 @@
 """The audit of a published folder: its files, and its models back to their simulations."""
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from slipstitch.base.errors import BadInput, first_line
+from slipstitch.base.errors import BadInput, Damaged, first_line
 from slipstitch.base.provenance import file_digest, read_json, read_metadata
 from slipstitch.base.provenance.reading import SIDECAR_SUFFIX
 from slipstitch.dataset.audit.admission import check_entries, limited_memory
-from slipstitch.dataset.audit.audit_page import printable
-from slipstitch.dataset.audit.findings import Finding, Kind, not_part, sorted_findings
+from slipstitch.dataset.audit.findings import Finding, Kind, not_part, printable, sorted_findings
 from slipstitch.dataset.audit.staleness import other_code
 from slipstitch.dataset.manifest import MANIFEST, read_manifest
 from slipstitch.dataset.release.records import Artefact
@@ -26,6 +25,8 @@ _DATASET = "dataset"
 _DIGESTS, _LINEAGE = f"{_DATASET}/digests.json", f"{_DATASET}/lineage.json"
 _SIMULATED, _SAMPLED = "/simulate/", "sample/"
 _READ_ELSEWHERE = "/readings.parquet"
+#: Scores, and the predictions that they are computed from.
+_SCORES, _PREDICTIONS = "metrics.json", "predictions.parquet"
 _NOTES = (
     "only the digests of images, renders and simulations are published: they were compared with "
     "each other, not with files",
@@ -106,7 +107,9 @@ class PublishedAudit:
         return "\n".join(map(printable, [*lines, *(f"note: {note}" for note in self.notes)]))
 
 
-def audit_published(folder: Path, shipped: str = "") -> PublishedAudit:
+def audit_published(
+    folder: Path, shipped: str = "", recompute: Callable[[Path], Mapping[str, Any]] | None = None
+) -> PublishedAudit:
     """Audit a folder that `slipstitch publish` wrote.
 
     Parameters
@@ -114,6 +117,8 @@ def audit_published(folder: Path, shipped: str = "") -> PublishedAudit:
     folder : path
     shipped : str
         SHA-256 of the weights that come with Slipstitch.
+    recompute : callable, optional
+        Predictions -> the scores that they give, to compare with the published ones.
 
     Raises
     ------
@@ -122,7 +127,7 @@ def audit_published(folder: Path, shipped: str = "") -> PublishedAudit:
     """
     with limited_memory():
         check_entries(folder)
-        return _Published(folder).audit(shipped)
+        return _Published(folder).audit(shipped, recompute)
 
 
 class _Published:
@@ -140,7 +145,7 @@ class _Published:
         self.findings: list[Finding] = []
         self.contents: dict[str, dict[str, Any]] = {}
 
-    def audit(self, shipped: str) -> PublishedAudit:
+    def audit(self, shipped: str, recompute: Callable | None) -> PublishedAudit:
         self.check_files()
         self.check_models()
         self.check_datasets()
@@ -153,6 +158,8 @@ class _Published:
             behind = self.behind(shards)
             chains.append(Chain(weights, digest, published, ships, shards, behind))
         notes = self.notes()
+        if recompute is not None and {_SCORES, _PREDICTIONS} <= set(self.digests):
+            notes += self.check_scores(recompute)
         findings = sorted_findings(self.findings)
         return PublishedAudit(self.name, len(self.digests), findings, chains, notes)
 
@@ -248,6 +255,23 @@ class _Published:
                 what = f"is of another dataset than {place}/{MANIFEST}"
                 self.find(Kind.BROKEN, f"{place}/digests.json", what)
 
+    def check_scores(self, recompute: Callable[[Path], Mapping[str, Any]]) -> list[str]:
+        """Compare every score with what the predictions give; return what was not compared."""
+        try:
+            expected = _leaves(recompute(self.folder / _PREDICTIONS))
+        except Damaged as problem:
+            self.find(Kind.ALTERED, _PREDICTIONS, first_line(problem))
+            return []
+        except BadInput as problem:
+            return [f"scores not compared with the predictions: {first_line(problem)}"]
+        stated = _leaves(self.json(_SCORES))
+        odd = [key for key in expected | stated if stated.get(key) != expected.get(key)]
+        if odd:
+            first, more = odd[0], f" ({len(odd)} scores differ)" if len(odd) > 1 else ""
+            what = f"{' '.join(first)} is {stated.get(first)}, its predictions give "
+            self.find(Kind.BROKEN, _SCORES, f"{what}{expected.get(first)}{more}")
+        return []
+
     def check_inputs(self, name: str) -> None:
         """Whether a file was made from those that are published."""
         inputs = _mapping(self.records[name].get("inputs"))
@@ -336,6 +360,16 @@ class _Published:
         if others:
             notes.append(f"made by other code or libraries than those that audit: {_list(others)}")
         return notes
+
+
+def _leaves(content: Any, place: tuple[str, ...] = ()) -> dict[tuple[str, ...], Any]:
+    """Every value of nested mappings by the keys that lead to it."""
+    if not isinstance(content, Mapping):
+        return {place: content}
+    found: dict[tuple[str, ...], Any] = {}
+    for key, value in content.items():
+        found |= _leaves(value, (*place, str(key)))
+    return found
 
 
 def _mapping(value: Any) -> dict[str, Any]:

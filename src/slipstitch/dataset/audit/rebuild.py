@@ -17,11 +17,10 @@ from slipstitch.base.errors import BadInput, SlipstitchError
 from slipstitch.base.provenance import read_metadata
 from slipstitch.config import Config, write_config
 from slipstitch.config.load import without_law
-from slipstitch.dataset.audit.contents import Contents
-from slipstitch.dataset.audit.explain import find_clip
-from slipstitch.dataset.audit.lineage import Lineage
+from slipstitch.dataset.audit.auditing import find_clip
+from slipstitch.dataset.audit.contents import Contents, Lineage
+from slipstitch.dataset.images import decode, read_shard
 from slipstitch.dataset.release.records import Artefact, carried_file, recorded_name, rows_digest
-from slipstitch.dataset.shards import decode, read_shard
 
 # How and beside what it ran; the trajectory's digest is of its times too.
 _OF_THE_RUN = frozenset({"device", "simulated_at_once", "trajectory_sha256"})

@@ -10,9 +10,8 @@ from pathlib import Path
 
 from slipstitch.base.provenance.code import PACKAGE, RESULT_PACKAGES, installed_version
 from slipstitch.config import Config
-from slipstitch.dataset.audit.contents import Contents
+from slipstitch.dataset.audit.contents import Contents, Lineage
 from slipstitch.dataset.audit.findings import Finding, Kind
-from slipstitch.dataset.audit.lineage import Lineage
 from slipstitch.dataset.release.currency import catalogue_changes, config_changes, current_digest
 from slipstitch.dataset.release.records import Artefact, is_ours
 from slipstitch.physics.simulation.convergence import MEASURED, study_digest

@@ -20,19 +20,32 @@ from slipstitch.base.provenance import (
 )
 from slipstitch.config import Config
 from slipstitch.dataset.manifest import MANIFEST_SCHEMA, read_manifest
-from slipstitch.dataset.release.card import CARD
-from slipstitch.dataset.release.checksums import SIGNATURE, SUMS, files_below, write_sums
-from slipstitch.dataset.release.code import check_project, copy_code, locked_versions
+from slipstitch.dataset.release.checksums import (
+    SIGNATURE,
+    SUMS,
+    check_key,
+    files_below,
+    sign,
+    write_sums,
+)
 from slipstitch.dataset.release.currency import (
     calibrated_by,
     catalogue_changes,
+    check_project,
     config_changes,
+    copy_code,
     current_digest,
+    locked_versions,
     other_versions,
 )
-from slipstitch.dataset.release.description import card_of, facts_of
-from slipstitch.dataset.release.manifest import MANIFEST, released_rows, write_manifest
-from slipstitch.dataset.release.previews import write_previews
+from slipstitch.dataset.release.description import CARD, card_of, facts_of
+from slipstitch.dataset.release.manifest import (
+    MANIFEST,
+    parts,
+    released_rows,
+    split_columns,
+    write_manifest,
+)
 from slipstitch.dataset.release.records import (
     CONFIG,
     CRATE,
@@ -47,9 +60,7 @@ from slipstitch.dataset.release.records import (
     locate,
     write_record,
 )
-from slipstitch.dataset.release.shards import write_shards
-from slipstitch.dataset.release.signature import check_key, sign
-from slipstitch.dataset.release.splits import parts, split_columns
+from slipstitch.dataset.release.shards import write_previews, write_shards
 
 _ROOM = 1.02  # records, code and previews come on top of the shards
 
@@ -211,8 +222,7 @@ def _fill(
     card = card_of(folder, facts, config, rows, artefacts, pictures)
     (folder / CARD).write_text(card, encoding="utf-8")
     # rdflib and rocrate take a second to import.
-    from slipstitch.dataset.release.crate import crate_text
-    from slipstitch.dataset.release.croissant import croissant_text
+    from slipstitch.dataset.release.metadata import crate_text, croissant_text
 
     (folder / CROISSANT).write_text(croissant_text(folder, facts), encoding="utf-8")
     record = provenance_record(

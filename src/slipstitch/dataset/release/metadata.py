@@ -1,27 +1,33 @@
-"""RO-Crate: the release as a research object, every job behind it as an action.
+"""Machine-readable descriptions of a release: Croissant, and an RO-Crate of every job behind it.
 
-Follows Process, Workflow and Provenance Run Crate 0.5 and Workflow RO-Crate 1.0: the Snakefile is
-the main entity, the run of the whole workflow is one ``CreateAction``, every job another one. Each
-stage is a step of the workflow (``HowToStep``), each job was started for its step by Snakemake
-(``ControlAction``, ``OrganizeAction``). Files between the jobs are not in the release: they appear
-as contextual entities with their digests, described by the records that the release carries. Left
-out is what no record holds: when each job began, and parameters one by one (``FormalParameter``);
-the configuration stands for these.
+The crate follows Process, Workflow and Provenance Run Crate 0.5 and Workflow RO-Crate 1.0: the
+Snakefile is the main entity, the run of the whole workflow is one ``CreateAction``, every job
+another one. Each stage is a step of the workflow (``HowToStep``), each job was started for its step
+by Snakemake (``ControlAction``, ``OrganizeAction``). Files between the jobs are not in the release:
+they appear as contextual entities with their digests, described by the records that the release
+carries. Left out is what no record holds: when each job began, and parameters one by one
+(``FormalParameter``); the configuration stands for these.
 """
 
+import datetime
 import json
 import mimetypes
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import mlcroissant as mlc
+import pyarrow as pa
+import pyarrow.parquet as pq
 from rocrate.model.contextentity import ContextEntity
 from rocrate.model.file import File
 from rocrate.rocrate import ROCrate
 
+from slipstitch.base.errors import SlipstitchError
 from slipstitch.base.provenance import file_digest
 from slipstitch.dataset.release.checksums import files_below
-from slipstitch.dataset.release.code import CODE, SNAKEFILE
+from slipstitch.dataset.release.currency import CODE, SNAKEFILE
+from slipstitch.dataset.release.manifest import MANIFEST, described
 from slipstitch.dataset.release.records import (
     CRATE,
     RELEASE_RECORD,
@@ -29,6 +35,120 @@ from slipstitch.dataset.release.records import (
     in_order,
     record_file,
 )
+from slipstitch.dataset.release.shards import FOLDER
+
+VIDEOS, FRAMES = "videos", "frames"
+_SHARDS = "shards"
+
+_KINDS = {
+    pa.string(): mlc.DataType.TEXT,
+    pa.float64(): mlc.DataType.FLOAT,
+    pa.float32(): mlc.DataType.FLOAT,
+    pa.int64(): mlc.DataType.INTEGER,
+    pa.int32(): mlc.DataType.INTEGER,
+    pa.bool_(): mlc.DataType.BOOL,
+}
+
+
+def _field(record_set: str, column: pa.Field, source: dict[str, str]) -> mlc.Field:
+    extract = mlc.Extract(column=column.name)
+    transforms = []
+    kind = _KINDS.get(column.type, mlc.DataType.TEXT)
+    if pa.types.is_struct(column.type):  # an image as Hugging Face datasets lays it out
+        transforms = [mlc.Transform(json_path="bytes")]
+        kind = mlc.DataType.IMAGE_OBJECT
+    references = None
+    if record_set == FRAMES and column.name == "video":
+        references = mlc.Source(field=f"{VIDEOS}/video")
+    return mlc.Field(
+        id=f"{record_set}/{column.name}",
+        name=column.name,
+        description=described(column.name),
+        data_types=[kind],
+        source=mlc.Source(**source, extract=extract, transforms=transforms),
+        **({"references": references} if references else {}),
+    )
+
+
+def croissant(folder: Path, facts: Mapping[str, Any]) -> mlc.Metadata:
+    """The metadata of the release in `folder`, its manifest and shards in it.
+
+    Parameters
+    ----------
+    folder : path
+    facts : mapping
+        ``name, version, title, description, licence_url, citation, date, keywords``.
+    """
+    manifest = folder / MANIFEST
+    shards = sorted(folder.glob(f"{FOLDER}/*.parquet"))
+    parquet = "application/x-parquet"
+    distribution = [
+        mlc.FileObject(
+            id=MANIFEST,
+            name=MANIFEST,
+            description="One row per video: labels, splits, location and digest of its images",
+            content_url=MANIFEST,
+            content_size=f"{manifest.stat().st_size} B",
+            encoding_formats=[parquet],
+            sha256=file_digest(manifest),
+        ),
+        mlc.FileSet(
+            id=_SHARDS,
+            name=_SHARDS,
+            description="Image shards, one row per image",
+            encoding_formats=[parquet],
+            includes=[f"{FOLDER}/*.parquet"],
+        ),
+    ]
+    sets = [
+        mlc.RecordSet(
+            id=VIDEOS,
+            name=VIDEOS,
+            description="The videos",
+            key=[f"{VIDEOS}/video"],
+            fields=[
+                _field(VIDEOS, column, {"file_object": MANIFEST})
+                for column in pq.read_schema(manifest)
+            ],
+        ),
+        mlc.RecordSet(
+            id=FRAMES,
+            name=FRAMES,
+            description="The images of the videos, in order",
+            fields=[
+                _field(FRAMES, column, {"file_set": _SHARDS})
+                for column in pq.read_schema(shards[0])
+            ],
+        ),
+    ]
+    return mlc.Metadata(
+        name=facts["name"],
+        description=facts["description"],
+        cite_as=facts["citation"],
+        creators=[mlc.Organization(name="The Slipstitch developers")],
+        date_published=datetime.datetime.fromisoformat(facts["date"]),
+        keywords=list(facts["keywords"]),
+        license=[facts["licence_url"]],
+        version=facts["version"],
+        distribution=distribution,
+        record_sets=sets,
+    )
+
+
+def croissant_text(folder: Path, facts: Mapping[str, Any]) -> str:
+    """Text of ``croissant.json``; mlcroissant has checked it against the specification then.
+
+    Raises
+    ------
+    SlipstitchError
+        If it finds an error.
+    """
+    try:
+        content = croissant(folder, facts).to_json()
+    except mlc.ValidationError as error:
+        raise SlipstitchError(f"Croissant metadata is not valid: {error}") from None
+    return json.dumps(content, indent=1, ensure_ascii=False, default=str) + "\n"
+
 
 PROFILES = {
     "https://w3id.org/ro/wfrun/process/0.5": {"name": "Process Run Crate", "version": "0.5"},
