@@ -22,6 +22,7 @@ from slipstitch.design.interpolation import interpolations
 from slipstitch.design.trainable import view_order
 from slipstitch.design.cost import estimate_line, job_memory_mb, job_runtime_min
 from slipstitch.base.errors import BadInput
+from slipstitch.film.measure import SHIPPED
 from slipstitch.physics.fabric import fabric_digest, fabric_names
 from slipstitch.base.provenance import code_digest, file_digest
 from slipstitch.physics.simulation.convergence import study_digest

@@ -33,6 +33,7 @@ rule evaluate_all:
         *settings("evaluate", also=("sample.frames",)),
         views=VIEW_ORDER,
         code=code_of("evaluate"),
+        shipped=Path(SHIPPED, "SHA256SUMS").read_text(),
         config=CONFIG_FILE,
     message:
         "Evaluate the networks"

@@ -20,6 +20,8 @@ from slipstitch.dataset.dataset import write_dataset
 from slipstitch.dataset.videos import read_videos
 from slipstitch.design.grid import friction_id
 from slipstitch.design.trainable import trainings
+from slipstitch.film.measure import SHIPPED
+from slipstitch.film.measure.measuring_bench import shipped_for
 from slipstitch.learning.evaluation.evaluation import Outputs, write_evaluation
 from slipstitch.learning.evaluation.metrics import FIELDS
 from slipstitch.learning.evaluation.probes import PREFIX
@@ -337,6 +339,24 @@ def predictions(path):
     """Rows of the table but those of probes."""
     rows = pq.read_table(path).to_pylist()
     return [row for row in rows if not row["network"].startswith(PREFIX)]
+
+
+def test_the_shipped_instrument_predicts_for_the_calibrated_view_of_its_protocol(tmp_path):
+    config = synthetic_videos.config(
+        simulation={"frames": 300}, sample={"frames": 30}, train={"splits": ["by_simulation"]}
+    )
+    assert shipped_for(config) == SHIPPED
+    shards = synthetic_videos.write_shards(config, tmp_path / "render")
+    write_dataset(config, shards, tmp_path / "sample")
+    evaluate(tmp_path, Trained(train=config.train, shipped=shipped_for(config)), tmp_path)
+    rows = predictions(tmp_path / "predictions.parquet")
+    assert {row["network"] for row in rows} == {"instrument_shipped"}
+    assert {row["viewpoint"] for row in rows} == {"calibrated"}
+    assert all(row["alarm"] for row in rows)  # rectangles are no cloth
+    metrics = content(tmp_path / "metrics.json")
+    assert metrics["by_simulation"]["instrument_shipped"]["n"] == len(rows)
+    for other in ({"simulation": {"frames": 200}}, {"render": {"crop": "fixed"}}):
+        assert shipped_for(synthetic_videos.config(sample={"frames": 30}, **other)) is None
 
 
 @pytest.mark.slow

@@ -1,5 +1,6 @@
 """Networks and instruments: train, evaluate, ablate."""
 
+from dataclasses import replace
 from typing import Any
 
 import click
@@ -200,6 +201,7 @@ def _error_bars(card: dict[str, Any]) -> str:
 def evaluate(arguments: Arguments) -> None:
     """Evaluate, write, print the table."""
     from slipstitch.design.trainable import view_order
+    from slipstitch.film.measure.measuring_bench import shipped_for
     from slipstitch.learning.evaluation.evaluation import Outputs, write_evaluation
     from slipstitch.learning.evaluation.text_table import test_set_lines
     from slipstitch.learning.evaluation.trained import Trained
@@ -215,6 +217,7 @@ def evaluate(arguments: Arguments) -> None:
         return
     if arguments.page:
         raise BadInput("--page requires --captures")
+    trained = replace(trained, shipped=shipped_for(config))
     details = arguments.details or arguments.out.with_name("details.json")
     metrics = write_evaluation(
         config.evaluate,

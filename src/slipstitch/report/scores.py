@@ -6,7 +6,7 @@ from typing import Any
 from slipstitch.base.page.wording import NONE, percent, seeds_in_words
 from slipstitch.learning.evaluation import paper, probes
 from slipstitch.learning.evaluation.metrics import TEST_SETS, Metric, metrics_of
-from slipstitch.learning.evaluation.scores import AVERAGE, CALIBRATED, TRAINING, network_of
+from slipstitch.learning.evaluation.scores import AVERAGE, CALIBRATED, SHIPPED, TRAINING, network_of
 from slipstitch.report.results import Table
 
 SPLIT_TITLES = {
@@ -27,6 +27,7 @@ NETWORK_TITLES = {
     "friction_conditional": "conditional network",
     TRAINING: "instrument",
     AVERAGE: "instrument ensemble",
+    SHIPPED: "instrument that comes with Slipstitch",
 }
 TURNED = "view_"
 
@@ -174,7 +175,7 @@ def table_3(scores: Scores, calibrated: str) -> Table | None:
         row = [f"{turn:+d}°".replace("-", "−") if turn else "0°", str(videos or NONE)]
         row += list(map(percent, quoted)) if quoted else [paper.NOT_PRINTED] * 2
         for network, metric in columns:
-            of_view = None if network in (TRAINING, AVERAGE) else view
+            of_view = None if network in (TRAINING, AVERAGE, SHIPPED) else view
             row.append(scores.cell(name, network, metric.name, of_view))
         rows.append(row)
     return head, rows
@@ -214,7 +215,7 @@ def alarms(scores: Scores) -> Table | None:
     """Share of videos that raise the out-of-distribution alarm, a row an instrument."""
     head, rows = [], []
     for split, name in SPLIT_NAMES.items():
-        for network in (TRAINING, AVERAGE):
+        for network in (TRAINING, AVERAGE, SHIPPED):
             for seed, rates in (scores.detail(split, network).get("alarms") or {}).items():
                 head = ["trained", *(kind.replace("_", " ") for kind in rates)]
                 title = f"{NETWORK_TITLES[network]} {name}, seed {seed}"

@@ -11,7 +11,7 @@ import torch
 
 from slipstitch.base.errors import BadInput, Damaged
 from slipstitch.base.provenance import file_digest
-from slipstitch.config import load_config
+from slipstitch.config import Config, load_config
 from slipstitch.config.train import REFLECTIVE
 from slipstitch.design.sampled_frames import sampled_frames
 from slipstitch.design.stage_path import StagePath
@@ -262,6 +262,23 @@ def opened_bench(
     if instrument.card.get("split") == REFLECTIVE:
         floors += settings.render.reflective_floors
     return MeasuringBench(lens, instrument, config_path, schedule, tuple(dict.fromkeys(floors)))
+
+
+def shipped_for(config: Config) -> Path | None:
+    """Return the folder of the instrument that comes with Slipstitch, if a dataset is its kind.
+
+    Its kind of video: the stage's path, the times of the frames and the calibrated viewpoint of
+    its training.
+    """
+    _, trained, _ = trained_with(load_instrument(SHIPPED), SHIPPED, None)
+    videos = Schedule.of(config.simulation, config.render, config.sample)
+    alike = (
+        "calibrated" in config.render.viewpoints
+        and (videos.path, videos.follows) == (trained.path, trained.follows)
+        and np.array_equal(videos.time_s, trained.time_s)
+        and all(map(np.array_equal, videos.pose, trained.pose))
+    )
+    return SHIPPED if alike else None
 
 
 def _config_of(model: str | os.PathLike, given: str | os.PathLike | None) -> Path:

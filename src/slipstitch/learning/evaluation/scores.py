@@ -31,6 +31,8 @@ MATERIAL = "material_baseline"
 MODELS = {"lrcn_baseline": "friction_baseline", "lrcn_conditional": "friction_conditional"}
 # Instruments of one training each, and the average of several.
 TRAINING, AVERAGE = "instrument", "instrument_ensemble"
+# The instrument that comes with Slipstitch, which no simulation of the dataset trained.
+SHIPPED = "instrument_shipped"
 ENSEMBLE = "ensemble"
 #: Behind the names of fine-tuned networks, and of their entries, where those before fine-tuning are
 #: kept: these predict in all views, the fine-tuned ones in the calibrated view alone.
@@ -183,7 +185,7 @@ def place_in_tables(network: str) -> int:
     base = network.removesuffix(CALIBRATED)
     if base in order:
         return order.index(base) + (base != network) * len(order)
-    return 8 if network.startswith(PROBE) else 9 + (network == AVERAGE)
+    return 8 if network.startswith(PROBE) else {AVERAGE: 10, SHIPPED: 11}.get(network, 9)
 
 
 def details_of_table(

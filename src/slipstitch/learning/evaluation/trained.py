@@ -2,13 +2,21 @@
 
 import dataclasses
 import os
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from slipstitch.base.errors import BadInput
 from slipstitch.config.train import NETWORKS, TRAINED_ON, TrainSettings
 from slipstitch.design.trainable import trainings
-from slipstitch.learning.evaluation.scores import AVERAGE, CALIBRATED, ENSEMBLE, MATERIAL, TRAINING
+from slipstitch.learning.evaluation.scores import (
+    AVERAGE,
+    CALIBRATED,
+    ENSEMBLE,
+    MATERIAL,
+    SHIPPED,
+    TRAINING,
+)
 from slipstitch.learning.instrument.measuring import WEIGHTS as INSTRUMENT_WEIGHTS
 from slipstitch.learning.instrument.measuring import Instrument, load_instrument
 from slipstitch.learning.lrcn_model import ALL_VIEWS, CARD, WEIGHTS, LrcnModel, load_model
@@ -33,18 +41,28 @@ class Trained:
         Which splits and seeds count; others, left by an earlier configuration, do not.
     instrument_seeds : sequence of int, optional
         Which seeds of instruments count.
+    shipped : path, optional
+        Folder of the instrument that comes with Slipstitch. No simulation of the dataset trained
+        it, so the test videos of every split are new to it.
     """
 
     networks: str | os.PathLike | None = None
     instruments: str | os.PathLike | None = None
     train: TrainSettings | None = None
     instrument_seeds: list[int] | None = None
+    shipped: str | os.PathLike | None = None
+
+    @property
+    def splits(self) -> Sequence[str]:
+        """Splits that count."""
+        return TRAINED_ON if self.train is None else self.train.splits
 
     def weights(self) -> dict[str, list[Path]]:
         """Return the files of weights of every kind of model."""
-        splits = TRAINED_ON if self.train is None else self.train.splits
         found: dict[str, list[Path]] = {NETWORKS_KIND: [], TRAINING: [], AVERAGE: []}
-        for split in splits if self.networks is not None else ():
+        if self.shipped is not None:
+            found[SHIPPED] = [Path(self.shipped, INSTRUMENT_WEIGHTS)]
+        for split in self.splits if self.networks is not None else ():
             wanted = self.train and {
                 (name, f"seed{seed}") for name, seed in trainings(self.train, split)
             }
@@ -56,7 +74,7 @@ class Trained:
                 if path.is_file() and (wanted is None or (network, place.name) in wanted)
             ]
         seeds = self.instrument_seeds
-        for split in splits if self.instruments is not None else ():
+        for split in self.splits if self.instruments is not None else ():
             folder = Path(self.instruments, split)
             found[TRAINING] += [
                 path
@@ -95,7 +113,11 @@ class Trained:
                     f"({{split}}/{{network}}/seed{{seed}}/{WEIGHTS})"
                 )
         instruments = _instruments(weights[TRAINING], weights[AVERAGE])
-        return models | {key: one for key, one in instruments.items() if key[1] not in without}
+        models |= {key: one for key, one in instruments.items() if key[1] not in without}
+        if self.shipped is not None and SHIPPED not in without:
+            instrument = load_instrument(self.shipped)
+            models |= {(split, SHIPPED, None): instrument for split in self.splits}
+        return models
 
 
 def _networks(paths: list[Path]) -> dict[Key, LrcnModel]:

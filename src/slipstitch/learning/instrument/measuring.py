@@ -240,8 +240,12 @@ class Instrument:
     def sees(self, row: Mapping[str, Any]) -> bool:
         """Return whether the model predicts for the video of a manifest row.
 
-        For those from the viewpoints that it learnt, and from turned ones that test alone.
+        For those from the viewpoints that it learnt, and from turned ones that test alone. Whoever
+        knows the camera's pose learnt from images that are rectified to the calibrated viewpoint:
+        it predicts for this one too, for turned ones only where they are rectified.
         """
+        if self.settings.knows_pose:
+            return row["viewpoint"] in (*self.card["viewpoints"], "calibrated")
         return row["viewpoint"] in self.card["viewpoints"] or row["viewpoint_role"] == "test"
 
     def predict(self, videos: Videos, batch_size: int = 8) -> list[Prediction]:
