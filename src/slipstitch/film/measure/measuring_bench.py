@@ -270,8 +270,10 @@ def shipped_for(config: Config) -> Path | None:
     Its kind of video: the stage's path, the times of the frames and the calibrated viewpoint of
     its training.
     """
-    _, trained, _ = trained_with(load_instrument(SHIPPED), SHIPPED, None)
-    videos = Schedule.of(config.simulation, config.render, config.sample)
+    trained, videos = (
+        Schedule.of(one.simulation, one.render, one.sample)
+        for one in (load_config(SHIPPED / "config.json"), config)
+    )
     alike = (
         "calibrated" in config.render.viewpoints
         and (videos.path, videos.follows) == (trained.path, trained.follows)
