@@ -107,7 +107,6 @@ EDITS = {
 }
 
 
-@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(("file", "rerun"), EDITS.items())
 def test_edited_code_reruns_the_stages_that_use_it(chain, file, rerun):
     with chain.edited(file):
@@ -135,7 +134,6 @@ def test_deleted_simulation_reruns_it_and_its_descendants_only(chain, config):
     ]
 
 
-@pytest.mark.slow
 def test_a_deleted_picture_of_the_calibration_reruns_nothing_but_pictures(chain):
     with chain.without("calibrate/calibration.png"):
         pending = chain.pending()
@@ -143,7 +141,6 @@ def test_a_deleted_picture_of_the_calibration_reruns_nothing_but_pictures(chain)
     assert pending == pictures | {"report/index.html"}  # which shows them
 
 
-@pytest.mark.slow
 def test_deleted_shard_reruns_no_simulation(chain, config):
     gone = f"render/{simulations(config)[0].id}_v00.parquet"
     with chain.without(gone):
@@ -152,7 +149,6 @@ def test_deleted_shard_reruns_no_simulation(chain, config):
     assert not stages(pending) & {"calibrate", "simulate"}
 
 
-@pytest.mark.default_cases(1)
 @pytest.mark.parametrize(
     "override", ["render={test_textures: [chevron]}", "render={augmentation: {noise: 0.02}}"]
 )
@@ -173,7 +169,6 @@ def test_changed_friction_reruns_its_simulations_only(chain, config):
     assert not [file for file in pending if file.startswith("render/") and "_f0100_" in file]
 
 
-@pytest.mark.default_cases(3)
 @pytest.mark.parametrize(
     ("override", "rerun"),
     [
@@ -191,7 +186,6 @@ def test_changed_value_reruns_the_stages_that_use_it(chain, override, rerun):
     assert stages(chain.pending("--config", override)) == rerun
 
 
-@pytest.mark.slow
 def test_one_more_setting_to_try_keeps_the_pushes_of_the_strip(chain):
     pending = chain.pending("--config", "calibrate={sweep_damping_s: [0.1]}")
     assert "calibrate/calibration.json" in pending

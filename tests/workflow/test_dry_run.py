@@ -60,7 +60,6 @@ STAGES = {
 }
 
 
-@pytest.mark.default_cases(3)
 @pytest.mark.parametrize("target", STAGES)
 def test_every_stage_is_a_target(workflow, target):
     counts = planned(workflow, target)
@@ -223,7 +222,6 @@ def made_again(workflow, changed: str, overrides: list[str], outputs: Sequence[s
 DATASET = ("results/captures/dataset/manifest.parquet", "results/captures/dataset/captures.parquet")
 
 
-@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("changed", ["a.mp4", "b.json"])
 def test_a_replaced_video_or_camera_file_of_a_bench_is_ingested_again(tmp_path, changed):
     workflow = Workflow(tmp_path)

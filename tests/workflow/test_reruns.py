@@ -57,7 +57,6 @@ def test_a_page_alone_is_written_again_with_its_template(chain):
         assert chain.pending() == {"report/index.html"}
 
 
-@pytest.mark.default_cases(1)
 @pytest.mark.parametrize(
     "file",
     [

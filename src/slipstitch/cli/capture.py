@@ -262,7 +262,6 @@ def _pair_line(pair) -> str:
 @option("--out", type=Output(".mp4"), help="with --film: the video (MP4)")
 def surrogate(arguments: Arguments) -> None:
     """Write the bench's tables, or one film."""
-
     mode = exactly_one(arguments, "bench", "film")
     config = configuration(arguments)
     if mode == "bench":

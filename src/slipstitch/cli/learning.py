@@ -273,7 +273,6 @@ def _captures(config, arguments: Arguments, trained) -> None:
 @option("--page", type=PAGE, help="with --summary: conclusions, plots and tables (HTML)")
 def ablate(arguments: Arguments) -> None:
     """Train and test one variant or summarise all results; print the outcome."""
-
     one = ("dataset", "question", "network", "variant", "seed")
     config = configuration(arguments)
     if arguments.summary:
@@ -288,9 +287,11 @@ def ablate(arguments: Arguments) -> None:
     from slipstitch.config.ablate import VARIANTS
     from slipstitch.learning.ablation.run import Case, write_case
 
-    if arguments.variant not in VARIANTS[arguments.question].get(arguments.network, ()):
+    variants = VARIANTS[arguments.question].get(arguments.network, ())
+    if arguments.variant not in variants:
         raise BadInput(
-            f"{arguments.question} has no variant {arguments.network} {arguments.variant}"
+            f"{arguments.question} has no variant {arguments.network} {arguments.variant}; "
+            f"its variants: {', '.join(variants) or 'none'}"
         )
     case = Case(arguments.question, arguments.network, arguments.variant, arguments.seed)
     found = write_case(config, arguments.dataset, case, arguments.out, arguments.threads)
