@@ -355,7 +355,7 @@ def test_the_shipped_instrument_predicts_for_the_calibrated_view_of_its_protocol
     assert all(row["alarm"] for row in rows)  # rectangles are no cloth
     metrics = content(tmp_path / "metrics.json")
     assert metrics["by_simulation"]["instrument_shipped"]["n"] == len(rows)
-    for other in ({"simulation": {"frames": 200}}, {"render": {"crop": "fixed"}}):
+    for other in ({"simulation": {"frames": 200}}, {"render": {"viewpoints": ["side"]}}):
         assert shipped_for(synthetic_videos.config(sample={"frames": 30}, **other)) is None
 
 

@@ -276,7 +276,7 @@ def shipped_for(config: Config) -> Path | None:
     )
     alike = (
         "calibrated" in config.render.viewpoints
-        and (videos.path, videos.follows) == (trained.path, trained.follows)
+        and videos.path == trained.path
         and np.array_equal(videos.time_s, trained.time_s)
         and all(map(np.array_equal, videos.pose, trained.pose))
     )
