@@ -98,7 +98,7 @@ def mesh_part():
 
 def steady_part():
     """The dearest simulation and ten others, without long steps and with them."""
-    from slipstitch.config.convergence import ConvergenceSettings
+    from slipstitch.config.simulation import ConvergenceSettings
 
     rows = []
     pairs = zip(ConvergenceSettings().materials, STEADY_FRICTIONS, strict=True)

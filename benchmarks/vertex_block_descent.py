@@ -10,7 +10,7 @@ import numpy as np
 import torch
 import warp as wp
 
-from slipstitch.physics.gravity import GRAVITY_M_S2
+from slipstitch.physics import GRAVITY_M_S2
 
 RADIUS_M = 1.0e-3  # particles touch the ground at this height; the ground lies as much lower
 

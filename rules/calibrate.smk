@@ -1,6 +1,6 @@
 """Settings chosen with a pushed strip, one job per swept setting, and checked against theory."""
 
-from slipstitch.config.calibrate import BASE, KEYS
+from slipstitch.config.simulation import BASE, KEYS
 from slipstitch.physics.calibration.sweep import sweep_inputs
 
 

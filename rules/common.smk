@@ -23,10 +23,10 @@ from slipstitch.design.trainable import view_order
 from slipstitch.design.cost import estimate_line, job_memory_mb, job_runtime_min
 from slipstitch.base.errors import BadInput
 from slipstitch.film.measure import SHIPPED
-from slipstitch.physics.fabric import fabric_digest, fabric_names
+from slipstitch.physics.fabric import fabric_digest
 from slipstitch.base.provenance import code_digest, file_digest
 from slipstitch.physics.simulation.convergence import study_digest
-from slipstitch.config.catalogue import catalogue_entries
+from slipstitch.config.catalogue import catalogue_entries, fabric_names
 
 CONFIG_FILE = "results/config.json"
 

@@ -8,8 +8,8 @@ import pytest
 
 from slipstitch.base.errors import BadInput
 from slipstitch.config import Config, load_config, read_mapping, resolve_config, write_config
+from slipstitch.config.model import schema_text
 from slipstitch.config.render import AugmentationSettings
-from slipstitch.config.schema import schema_text
 from slipstitch.design.stage_path import StagePath
 from slipstitch.design.trainable import check_instrument_can_train, check_networks_can_train
 

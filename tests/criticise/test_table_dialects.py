@@ -6,9 +6,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from slipstitch.base.angles import directions_in_radians
 from slipstitch.base.errors import BadInput
-from slipstitch.base.tables import as_number, read_cells
+from slipstitch.base.tables import as_number, directions_in_radians, read_cells
 from slipstitch.cli.main import main
 from slipstitch.film.slip_angles import read_angles
 

@@ -20,6 +20,7 @@ from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import attach_metadata, file_digest, write_parquet
 from slipstitch.cli.main import main
 from slipstitch.config import load_config, write_config
+from slipstitch.config.catalogue import fabric_names
 from slipstitch.dataset.audit import rebuild, staleness
 from slipstitch.dataset.audit.auditing import audit_release
 from slipstitch.dataset.audit.contents import Lineage, read_contents
@@ -34,8 +35,8 @@ from slipstitch.design.grid import simulations
 from slipstitch.design.interpolation import interpolations
 from slipstitch.images import view
 from slipstitch.images.surroundings import FLOORS
-from slipstitch.physics.fabric import fabric_names, load_fabric
-from slipstitch.physics.simulation import handed_out
+from slipstitch.physics.fabric import load_fabric
+from slipstitch.physics.simulation import simulation_files
 from slipstitch.physics.simulation.convergence import MEASURED
 
 ROOT = Path(__file__).parents[2]
@@ -86,7 +87,7 @@ def test_untouched_release_is_intact(original):
 
 
 def test_a_release_carries_its_simulations_and_the_audit_follows_them(forger, release):
-    assert SIMULATIONS == handed_out.SIMULATIONS
+    assert SIMULATIONS == simulation_files.SIMULATIONS
     carried = sorted((release / SIMULATIONS).glob("*.parquet"))
     assert len(carried) == len(simulations(CONFIG))
     path = release / SIMULATIONS / "m05_f0300_r00.parquet"
@@ -477,7 +478,7 @@ def test_release_takes_the_friction_law_along_and_the_audit_follows_it(
 def test_changed_entry_of_a_catalogue_makes_stale_not_damaged(original, monkeypatch):
     fabrics = {name: load_fabric(name) for name in fabric_names()}
     fabrics["ivory-rib-knit"] = fabrics["ivory-rib-knit"].scaled(1.1, 1.0, 1.0)
-    monkeypatch.setattr("slipstitch.physics.fabric.fabrics._catalogue", lambda: fabrics)
+    monkeypatch.setattr("slipstitch.physics.fabric._catalogue", lambda: fabrics)
     monkeypatch.setitem(FLOORS, "ceramic", replace(FLOORS["ceramic"], albedo=(0.4, 0.5)))
     audit = audit_release(original)
     assert audit.verdict == "stale"

@@ -19,7 +19,7 @@ from support import synthetic_chain
 from slipstitch.base.errors import BadInput, SlipstitchError
 from slipstitch.base.provenance import attach_metadata, read_metadata
 from slipstitch.cli.main import main
-from slipstitch.config.catalogue import VIEWPOINTS
+from slipstitch.config.catalogue import VIEWPOINTS, fabric_names
 from slipstitch.dataset.audit.auditing import audit_release
 from slipstitch.dataset.images import decode, pixels_digest
 from slipstitch.dataset.manifest import dataset_digest, read_manifest
@@ -40,7 +40,6 @@ from slipstitch.design.interpolation import filmed_friction, interpolations
 from slipstitch.design.splits import sides_of_simulations
 from slipstitch.images.camera import pose
 from slipstitch.images.camera_file import write_camera_file
-from slipstitch.physics.fabric import fabric_names
 
 ROOT = Path(__file__).parents[2]
 CONFIG = synthetic_chain.config()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from slipstitch.base.errors import BadInput
-from slipstitch.base.provenance.reading import read_json
+from slipstitch.base.provenance.files import read_json
 from slipstitch.cli.main import main
 from slipstitch.film.board import Board
 from slipstitch.film.board_views import read_views

@@ -26,8 +26,12 @@ from slipstitch.images import view as view_module
 from slipstitch.images.camera import pose
 from slipstitch.images.camera_file import write_camera_file
 from slipstitch.images.view import View
-from slipstitch.physics.simulation.compact import rounded
-from slipstitch.physics.simulation.trajectory import Trajectory, read_trajectory, write_trajectory
+from slipstitch.physics.simulation.trajectory import (
+    Trajectory,
+    read_trajectory,
+    rounded,
+    write_trajectory,
+)
 
 FRAMES, SAMPLED = 12, 4
 

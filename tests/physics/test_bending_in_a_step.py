@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from slipstitch.config.catalogue import fabric_names
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics.cloth import ClothSolver, Conditions, SolverSettings, rectangle
 from slipstitch.physics.cloth.bending import hinge_geometry
-from slipstitch.physics.fabric import ElasticTables, fabric_names, load_fabric
-from slipstitch.physics.fabric.law import CURVATURE_SPACING_PER_M
+from slipstitch.physics.fabric import CURVATURE_SPACING_PER_M, ElasticTables, load_fabric
 
 SPACING_M = 0.005
 # Two rows are held, the third hangs on the fold between: one hinge along u.
@@ -103,5 +103,3 @@ def test_a_fabric_that_the_cheap_rule_is_wrong_for_follows_the_end_of_a_step():
     assert settings.bending_stiffness_at == "rising"
     assert settings.of_fabric("gray-interlock") == settings
     assert settings.of_fabric("tango-red-jet-set").bending_stiffness_at == "end"
-    whole = SimulationSettings(bending_stiffness_at_end=())
-    assert whole.of_fabric("tango-red-jet-set") == whole

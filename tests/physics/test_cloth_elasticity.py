@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from slipstitch.base.errors import BadInput
+from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.cloth import ClothSolver, Conditions, SolverSettings, rectangle
 from slipstitch.physics.cloth.bending import hinge_geometry
 from slipstitch.physics.fabric import isotropic_tables
-from slipstitch.physics.gravity import GRAVITY_M_S2
 
 HINGE_N_M = 5e-5
 

@@ -12,7 +12,6 @@ from slipstitch.config import resolve_config
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.design.stage_path import StagePath
 from slipstitch.physics.convergence.cases import case_settings, cases
-from slipstitch.physics.convergence.distance_figure import convergence_figure
 from slipstitch.physics.convergence.study import (
     SHIFT_MAX_S,
     common_vertices,
@@ -20,6 +19,7 @@ from slipstitch.physics.convergence.study import (
     describe,
     events,
 )
+from slipstitch.physics.convergence.study_files import convergence_figure
 from slipstitch.physics.simulation.convergence import (
     BUT_FOR_ITS_COURSE,
     BUT_FOR_ITS_MOMENT,
@@ -98,31 +98,43 @@ def test_common_vertices_are_the_same_places_on_every_mesh(side):
     np.testing.assert_allclose(places[:, 0, 1], expected)
 
 
-def test_equal_runs_on_different_meshes_are_no_distance_apart():
-    found = compare(made_up_run(9), made_up_run(17), (9, 17))
-    assert found["worst_m"] < 1e-7
+FLAT = pytest.approx(0.0, abs=1e-4)
 
 
-def test_a_constant_offset_is_the_mean_and_the_worst_distance():
-    found = compare(made_up_run(offset_m=0.002), made_up_run(), (9,))
-    assert found["mean_m"] == pytest.approx(0.002, rel=1e-4)
-    assert found["worst_m"] == pytest.approx(0.002, rel=1e-4)
-    assert found["shifted_mean_m"] == pytest.approx(0.002, rel=1e-2)
+@pytest.mark.parametrize(
+    "run, sides, found",
+    [
+        ({}, (9, 17), {"worst_m": pytest.approx(0.0, abs=1e-7)}),  # the same on two meshes
+        (
+            {"offset_m": 0.002},
+            (9,),
+            dict.fromkeys(("mean_m", "worst_m"), pytest.approx(0.002, rel=1e-4))
+            | {"shifted_mean_m": pytest.approx(0.002, rel=1e-2)},
+        ),
+        # What only happens later is a matter of time, up to two seconds.
+        (
+            {"late_s": 0.5},
+            (9,),
+            {"shifted_largest_m": FLAT, "steady_largest_m": FLAT}
+            | {"worst_time_s": pytest.approx(12, abs=1)},
+        ),
+        # Between frames a motion is compared with the way from one to the next.
+        ({"late_s": 0.05}, (9,), {"shifted_largest_m": pytest.approx(0.0, abs=3e-4)}),
+    ],
+    ids=["meshes", "offset", "later", "half a frame"],
+)
+def test_runs_are_compared_at_the_same_and_at_shifted_times(run, sides, found):
+    compared = compare(made_up_run(**run), made_up_run(sides[-1]), sides)
+    assert {name: compared[name] for name in found} == found
+    if "late_s" in run:
+        assert compared["mean_largest_m"] > 1e-3
+        shift_s = compared["events"]["flip"]["shift_s"]
+        assert shift_s == pytest.approx(run["late_s"], abs=0.101)
 
 
-def test_what_only_happens_later_is_found_to_be_a_matter_of_time():
-    found = compare(made_up_run(late_s=0.5), made_up_run(), (9,))
-    assert found["events"]["flip"]["shift_s"] == pytest.approx(0.5, abs=0.101)
-    assert found["mean_largest_m"] > 0.02
-    assert found["shifted_largest_m"] < 1e-4
-    assert found["steady_largest_m"] < 1e-4
-    assert abs(found["worst_time_s"] - 12) < 1
-
-
-def test_between_frames_a_motion_is_compared_with_the_way_from_one_to_the_next():
-    found = compare(made_up_run(late_s=0.05), made_up_run(), (9,))  # half a frame
-    assert found["mean_largest_m"] > 1e-3
-    assert found["shifted_largest_m"] < 3e-4
+def test_shifts_are_bounded():
+    compared = compare(made_up_run(late_s=SHIFT_MAX_S + 1.5), made_up_run(), (9,))
+    assert compared["shifted_largest_m"] > 1e-3
 
 
 @pytest.mark.parametrize(
@@ -155,6 +167,7 @@ def test_events_are_told_by_the_motion():
     assert found["flip"] == pytest.approx(12.0, abs=0.06)
     # v = a t on the ramp: 2 mm after sqrt(2 * 0.002 / 0.01) s.
     assert found["slip"] == pytest.approx(7 + np.sqrt(0.4), abs=0.02)
+    assert events(made_up_run(late_s=100.0))["flip"] is None  # it does not roll over
 
 
 def test_every_stroke_has_its_own_events():
@@ -197,15 +210,6 @@ def test_an_edge_that_is_thrown_and_falls_back_has_not_slipped():
     assert events(run)["slip"] is None
     run.positions_m[np.ix_(run.time_s > 14, lower, [0])] = 3e-3
     assert events(run)["slip"] == pytest.approx(14, abs=0.11)
-
-
-def test_a_run_without_a_roll_over_has_no_flip():
-    assert events(made_up_run(late_s=100.0))["flip"] is None
-
-
-def test_shifts_are_bounded():
-    found = compare(made_up_run(late_s=SHIFT_MAX_S + 1.5), made_up_run(), (9,))
-    assert found["shifted_largest_m"] > 1e-3
 
 
 def test_runs_with_different_frames_are_refused():
@@ -251,7 +255,6 @@ def test_a_study_that_is_not_complete_says_what_is_missing_and_claims_no_converg
         ({"vertices_per_side": [81, 41]}, "must increase"),
         ({"materials": ["silk"]}, "unknown material 'silk'"),
         ({"window_s": 0}, "window_s: must be greater than 0"),
-        ({"halvings": 0, "vertices_per_side": [41]}, "convergence: nothing to compare: halvings"),
         ({"frictions": [0.1234, 0.1232]}, "frictions: friction coefficients must increase"),
         ({"frictions": [0.5, 0.5]}, "frictions: friction coefficients must increase"),
         # Both would be run as f0123, once.
@@ -264,10 +267,8 @@ def test_an_impossible_study_is_refused(change, message):
         resolve_config({"convergence": change})
 
 
-@pytest.mark.parametrize(
-    "change", [{"halvings": 0}, {"vertices_per_side": [41]}, {"frictions": [0.123, 0.124]}]
-)
-def test_time_step_or_mesh_alone_may_be_studied_and_every_run_has_an_id_of_its_own(change):
+@pytest.mark.parametrize("change", [{"vertices_per_side": [41]}, {"frictions": [0.123, 0.124]}])
+def test_the_time_step_alone_may_be_studied_and_every_run_has_an_id_of_its_own(change):
     found = cases(resolve_config({"convergence": change}))
     assert len({case.id for case in found}) == len(found)
 
@@ -315,6 +316,7 @@ def test_a_simulation_s_record_speaks_of_its_own_fabric_and_the_worse_neighbour(
     assert found["verdict"] == verdict
     assert found["note"].startswith("this fabric was not studied") == (not frictions)
     assert found["table_sha256"] == file_digest(tmp_path / "convergence.json")
+    assert measured_convergence("silk", 0.1, SimulationSettings(), tmp_path / "none.json") is None
 
 
 @pytest.mark.parametrize(
@@ -331,7 +333,7 @@ def test_a_simulation_s_record_speaks_of_its_own_fabric_and_the_worse_neighbour(
             ["bending_stiffness_at", "damping_s"],
         ),
         ({"time_step_s": 0.01, "vertices_per_side": 61, "step_error_m": 1e-5}, []),
-        ({"frames": 3, "yaw_sd_deg": 0.0, "halvings_max": 2}, []),
+        ({"frames": 3, "yaw_sd_deg": 0.0, "newton_iterations_max": 2}, []),
     ],
 )
 def test_a_study_speaks_only_of_runs_with_its_settings_or_finer_ones(tmp_path, changes, differ):
@@ -354,11 +356,6 @@ def test_a_study_speaks_only_of_runs_with_its_settings_or_finer_ones(tmp_path, c
 )
 def test_of_two_verdicts_the_worse_has_the_larger_numbers(verdicts):
     assert worst_verdict(verdicts) == worst_verdict(verdicts[::-1]) == verdicts[1]
-
-
-def test_without_a_study_the_record_is_empty(tmp_path):
-    settings = SimulationSettings()
-    assert measured_convergence("silk", 0.1, settings, tmp_path / "none.json") is None
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import warp as wp
 
 from slipstitch.base.errors import BadInput
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.physics.cloth import bending, contact, elasticity, near_pairs, self_contact
+from slipstitch.physics.cloth import bending, contact, elasticity, proximity, self_contact
 from slipstitch.physics.simulation.drop_and_drag import DropAndDrag, simulate_drop_and_drag
 
 RUN = DropAndDrag("gray-interlock", 0.5, 1)
@@ -17,7 +17,7 @@ SETTINGS = SimulationSettings(vertices_per_side=9, frames=4, frame_rate_hz=4, se
 def test_every_kernel_compiles_for_a_gpu(tmp_path):
     """Without one: to PTX for compute capability 8.0; sums into shared entries are atomic."""
     sources = {}
-    for module in (elasticity, bending, near_pairs, self_contact, contact):
+    for module in (elasticity, bending, proximity, self_contact, contact):
         # Not with strip_hash: it would stay on, and kernels of other versions be loaded.
         options = {"arch": 80, "module_dir": tmp_path, "use_ptx": True}
         (compiled,) = wp.compile_aot_module(wp.get_module(module.__name__), **options)

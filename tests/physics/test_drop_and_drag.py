@@ -7,11 +7,12 @@ from slipstitch.config.simulation import SimulationSettings
 from slipstitch.design.stage_path import StagePath
 from slipstitch.physics.cloth import ClothSolver
 from slipstitch.physics.simulation.drop_and_drag import (
+    LANDING_S,
     DropAndDrag,
+    Landing,
     draw_perturbation,
     simulate_drop_and_drag,
 )
-from slipstitch.physics.simulation.landing import LANDING_S, Landing
 
 SMALL = SimulationSettings(vertices_per_side=21, frames=12)
 FRICTION = 0.3

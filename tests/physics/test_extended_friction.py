@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import warp as wp
 
+from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.cloth import ClothSolver, Conditions, SolverSettings, rectangle
 from slipstitch.physics.cloth.friction import ContactState, force_limit
 from slipstitch.physics.fabric import isotropic_tables
 from slipstitch.physics.friction_law import CONTACT_MECHANISMS, Contact, Curve, FrictionLaw
-from slipstitch.physics.gravity import GRAVITY_M_S2
 
 AREAL_DENSITY_KG_M2 = 0.2
 PRESSURE_PA = AREAL_DENSITY_KG_M2 * GRAVITY_M_S2

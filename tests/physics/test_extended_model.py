@@ -6,9 +6,9 @@ import yaml
 
 from slipstitch.base.errors import BadInput
 from slipstitch.config.simulation import SimulationSettings
+from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.friction_law import Contact
 from slipstitch.physics.friction_law.extended_model import read_extended_model
-from slipstitch.physics.gravity import GRAVITY_M_S2
 from slipstitch.physics.simulation.drop_and_drag import DropAndDrag, simulate_drop_and_drag
 
 MODEL = {

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slipstitch.physics.cloth.krylov import flexible_gmres
+from slipstitch.physics.cloth.tangent import flexible_gmres
 
 
 def system(size, seed=0):

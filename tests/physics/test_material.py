@@ -6,9 +6,13 @@ import numpy as np
 import pytest
 
 from slipstitch.base.errors import BadInput
-from slipstitch.config.catalogue import FABRICS_FILE
-from slipstitch.physics.fabric import ElasticTables, fabric_names, load_fabric, read_fabric_file
-from slipstitch.physics.fabric.law import stretching_stiffness
+from slipstitch.config.catalogue import FABRICS_FILE, fabric_names
+from slipstitch.physics.fabric import (
+    ElasticTables,
+    load_fabric,
+    read_fabric_file,
+    stretching_stiffness,
+)
 
 
 def test_the_catalogue_holds_the_ten_fabrics_in_a_fixed_order():

@@ -6,7 +6,6 @@ import pytest
 
 from slipstitch.cli import calibrate
 from slipstitch.cli.main import main
-from slipstitch.physics.experiments.demand import verdict
 from slipstitch.physics.experiments.registry import PROTOCOLS
 
 
@@ -30,7 +29,7 @@ def test_every_experiment_is_listed_and_has_demands():
     ],
 )  # fmt: skip
 def test_a_result_meets_its_demands_or_does_not(name, result, passed):
-    judged = verdict(PROTOCOLS[name].demands, result)
+    judged = PROTOCOLS[name].verdict(result)
     assert judged["passed"] is passed
     json.dumps(judged, allow_nan=False)
 

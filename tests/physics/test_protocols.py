@@ -7,10 +7,10 @@ import pytest
 
 from slipstitch.base.errors import BadInput
 from slipstitch.config.simulation import SimulationSettings
+from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.experiments.landed_strip import landed_strip_theory
 from slipstitch.physics.experiments.registry import run_protocol
 from slipstitch.physics.experiments.strip import strip_state
-from slipstitch.physics.gravity import GRAVITY_M_S2
 
 FRICTIONS = (0.1, 0.5, 1.2)
 STEPS_S = (0.005, 0.02, 0.08)

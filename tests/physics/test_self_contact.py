@@ -10,10 +10,10 @@ from support.mesh_intersections import crossing_pairs
 
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.design.stage_path import StagePath
+from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.cloth import ClothMesh, ClothSolver, SolverSettings, proximity, rectangle
 from slipstitch.physics.cloth.self_contact import SelfContact
 from slipstitch.physics.fabric import isotropic_tables
-from slipstitch.physics.gravity import GRAVITY_M_S2
 from slipstitch.physics.simulation.drop_and_drag import DropAndDrag, simulate_drop_and_drag
 
 THICKNESS_M = 1e-3

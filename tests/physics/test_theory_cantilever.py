@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import solve_bvp
 
 from slipstitch.base.errors import BadInput
-from slipstitch.physics.experiments.cantilever import cantilever_rule_gamma, heavy_cantilever
+from slipstitch.physics.experiments.cantilever import heavy_cantilever
 
 
 @pytest.mark.parametrize(("gamma", "ratio"), [(1.0, 0.12456), (10.0, 1.0668), (100.0, 5.888)])
@@ -34,17 +34,16 @@ def test_collocation_finds_the_same_tip_angle(gamma):
     assert solution.y[0, -1] == pytest.approx(heavy_cantilever(gamma).tip_angle_rad, abs=1e-6)
 
 
-def test_it_hangs_lower_the_heavier_it_is_and_keeps_its_length():
-    shapes = [heavy_cantilever(gamma) for gamma in (0.1, 1.0, 10.0, 100.0, 1000.0, 10000.0)]
-    ratios = [shape.height_over_width for shape in shapes]
+def test_it_hangs_lower_the_heavier_it_is():
+    gammas = (0.1, 1.0, 10.0, 100.0, 1000.0, 10000.0)
+    ratios = [heavy_cantilever(gamma).height_over_width for gamma in gammas]
     assert ratios == sorted(ratios)
-    for shape in shapes:
-        assert np.hypot(*np.diff(shape.curve, axis=0).T).sum() == pytest.approx(1.0, abs=1e-3)
-        assert shape.curve[0] == pytest.approx((0.0, 0.0), abs=1e-12)
 
 
 def test_the_textile_rule_of_41_5_degrees_is_gamma_8():
-    assert cantilever_rule_gamma() == pytest.approx(8.00, abs=0.01)
+    """Peirce 1930, ASTM D1388: where the chord stands at 41.5°, B = ρ g (L/2)³."""
+    chord = math.atan(heavy_cantilever(8.0).height_over_width)
+    assert math.degrees(chord) == pytest.approx(41.5, abs=0.02)
 
 
 @pytest.mark.parametrize("gamma", [0.0, -1.0, math.nan, 1e6])

@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from slipstitch.base.errors import BadInput
-from slipstitch.physics.experiments.flat_drag import flat_drag_theory
 from slipstitch.physics.experiments.strip_drag import flexible_strip_drag, steady_strip_drag
 
 LENGTH, HEIGHT = 0.20, 0.15
@@ -74,10 +73,6 @@ def test_a_stiff_strip_touches_with_its_end_alone_and_still_stands_on_the_floor(
 def test_a_strip_shorter_than_the_height_hangs_clear_of_the_floor():
     drag = flexible_strip_drag(0.5, 0.10, HEIGHT)
     assert (drag.pull_over_w_m, drag.regime) == (0.0, "clear of the floor")
-
-
-def test_flat_drag_pulls_friction_times_weight():
-    assert flat_drag_theory(0.7) == 0.7
 
 
 @pytest.mark.parametrize(

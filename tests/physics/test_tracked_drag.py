@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from slipstitch.criticise.protocols.dragged_cloth import rest_state, sliding_state
+from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.experiments.strip_drag import steady_strip_drag
 from slipstitch.physics.experiments.tracked_drag import DragRun, Sheet, drag_tracked
 from slipstitch.physics.friction_law import Contact, FrictionLaw
-from slipstitch.physics.gravity import GRAVITY_M_S2
 
 SHEET = Sheet(areal_density_kg_m2=0.2, bending_Nm=6e-6, length_m=0.2)
 WEIGHT_N_M2 = SHEET.areal_density_kg_m2 * GRAVITY_M_S2

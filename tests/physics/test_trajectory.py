@@ -10,8 +10,14 @@ import pytest
 from support import synthetic_cloth
 
 from slipstitch.base.errors import BadInput
-from slipstitch.physics.simulation.compact import decode, encode, rounded
-from slipstitch.physics.simulation.trajectory import Trajectory, read_trajectory, write_trajectory
+from slipstitch.physics.simulation.trajectory import (
+    Trajectory,
+    decode,
+    encode,
+    read_trajectory,
+    rounded,
+    write_trajectory,
+)
 
 MOTION = Trajectory(**synthetic_cloth.motion(40))
 

@@ -16,7 +16,7 @@ from PIL import Image, ImageDraw
 
 from slipstitch.base.provenance import provenance_record, write_json, write_sidecar, write_text
 from slipstitch.config import Config, resolve_config
-from slipstitch.config.calibrate import BASE, KEYS
+from slipstitch.config.simulation import BASE, KEYS
 from slipstitch.dataset.dataset import write_dataset
 from slipstitch.design.grid import simulations
 from slipstitch.film.captures_scores import capture_metrics
@@ -27,7 +27,7 @@ from slipstitch.physics.calibration.calibration import (
     write_calibration,
 )
 from slipstitch.physics.calibration.sweep import sweep
-from slipstitch.physics.experiments.incline import incline_theory
+from slipstitch.physics.experiments.plane import incline_theory
 from slipstitch.physics.experiments.strip import (
     strip_slip_strain,
     strip_state,
@@ -83,12 +83,12 @@ def protocol_answer(name, options, settings):
     if name == "strip":
         return strip_answer(friction)
     if name == "incline":
-        result = incline_theory(friction, math.radians(options["slope_deg"]))
+        acceleration_m_s2 = incline_theory(friction, math.radians(options["slope_deg"]))
         return {
-            "sticks": result.sticks,
+            "sticks": not acceleration_m_s2,
             "creep_m": 2e-7,
-            "acceleration_m_s2": result.acceleration_m_s2 * 1.0002,
-            "theory_acceleration_m_s2": result.acceleration_m_s2,
+            "acceleration_m_s2": acceleration_m_s2 * 1.0002,
+            "theory_acceleration_m_s2": acceleration_m_s2,
         }
     if name == "flat-drag":
         return {"pull_over_weight": 1.001 * friction, "theory_pull_over_weight": friction}

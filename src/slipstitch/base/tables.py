@@ -14,12 +14,16 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from slipstitch.base.errors import BadInput
 
 NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _COMMA_NUMBER = re.compile(r"[+-]?\d*,\d+([eE][+-]?\d+)?", re.ASCII)
 _SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs", "|": "bars"}
 _BYTE_ORDER_MARKS = {b"\xef\xbb\xbf": "utf-8-sig", b"\xff\xfe": "utf-16", b"\xfe\xff": "utf-16"}
+# No cloth slips at a lesser slope; a right angle is 1.57 rad.
+SMALLEST_SLIP_ANGLE_DEG = 2.0
 _TITLE_LINES = 40  # before the names, at most
 _EXPORT = "export as CSV in UTF-8, with decimal points and a separator that stands in no cell"
 # What stands in a row of units, as names of columns end.
@@ -232,3 +236,23 @@ def _decimal_commas(path, body: list[list[str]], separator: str) -> bool:
 
 def _with_point(cell: str) -> str:
     return cell.replace(",", ".") if _COMMA_NUMBER.fullmatch(cell.strip()) else cell
+
+
+def in_radians(slip_angles: Iterable[float]) -> bool:
+    """Say whether slip angles, stated in degrees, must be radians: none reaches 2."""
+    angles = np.abs(np.asarray(list(slip_angles), float))
+    return bool(np.isfinite(angles).any() and np.nanmax(angles) < SMALLEST_SLIP_ANGLE_DEG)
+
+
+def directions_in_radians(directions: Iterable[float]) -> bool:
+    """Say whether directions, stated in degrees, must be radians: multiples of 45 degrees in them.
+
+    Some must not be 0, and none may be beyond a turn.
+    """
+    angles = np.asarray(list(directions), float)
+    angles = np.abs(angles[np.isfinite(angles)])
+    turned = angles[angles > 0]
+    if not len(turned) or turned.max() > 2 * np.pi + 0.01:
+        return False
+    eighths = turned / (np.pi / 4)
+    return bool(np.all(np.abs(eighths - np.round(eighths)) < 0.02) and np.all(eighths > 0.9))

@@ -43,7 +43,7 @@ from slipstitch.cli.parameter_types import FOLDER, JSON, PARQUET, PICTURE, Outpu
 @switch("--only-failures", "draw only if a requirement is not met, as NAME.failed.png")
 def calibrate(arguments: Arguments) -> None:
     """Sweep, choose and check; print one line per setting and per check."""
-    from slipstitch.config.calibrate import BASE, KEYS
+    from slipstitch.config.simulation import BASE, KEYS
     from slipstitch.physics.calibration.calibration import calibrate_to_file
     from slipstitch.physics.calibration.sweep import sweep_to_file
 
@@ -102,7 +102,7 @@ def _print_calibration(calibration: Mapping) -> None:
 
 
 def _trial_line(trial: dict, chosen: dict) -> str:
-    from slipstitch.physics.calibration.choice import describe
+    from slipstitch.physics.calibration.calibration import describe
 
     error = trial["strain_error"]
     strain = "no slip to compare" if error is None else f"slip strain within {error:.2e}"
@@ -207,7 +207,7 @@ def convergence() -> None:
 @option("--out", type=PARQUET, required=True, help="Parquet file, one row per frame")
 def run(arguments: Arguments) -> None:
     """Simulate and write; print the cost."""
-    from slipstitch.physics.convergence.case_run import simulate_case
+    from slipstitch.physics.convergence.cases import simulate_case
 
     config = configuration(arguments, calibration=arguments.calibration)
     done, cpu_s = simulate_case(config, arguments.case, arguments.out, arguments.calibration)

@@ -92,6 +92,6 @@ def grid(arguments: Arguments) -> None:
 )
 def schema(arguments: Arguments) -> None:
     """Print it."""
-    from slipstitch.config.schema import schema_text
+    from slipstitch.config.model import schema_text
 
     print(schema_text(), end="")

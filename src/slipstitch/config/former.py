@@ -38,6 +38,8 @@ FORMER_KEYS: dict[str, dict[str, Any]] = {
         "strip_drag_tail_m": 1e-3,
     },
     "compute": {"batch": 1},
+    "grid": {"test_replicates": 1},
+    "simulation": {"halvings_max": 12, "bending_stiffness_at_end": ["tango-red-jet-set"]},
     "instrument": {
         "position_channels": 16,
         "components": 3,
@@ -77,7 +79,7 @@ FORMER_KEYS: dict[str, dict[str, Any]] = {
         "focal_error": 0.001,
         "start_error_s": 0.02,
     },
-    "convergence": {"frame_rate_hz": 12.0, "seed": 0, "mean_distance_m": 1e-3},
+    "convergence": {"frame_rate_hz": 12.0, "seed": 0, "mean_distance_m": 1e-3, "halvings": 2},
 }
 
 

@@ -2,18 +2,16 @@
 
 import difflib
 import json
-import math
 import os
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from pydantic import BaseModel, ValidationError
 
 from slipstitch.base.errors import BadInput, Damaged
-from slipstitch.base.provenance.files import atomic_path
-from slipstitch.base.provenance.reading import load_yaml, read_json, read_yaml
+from slipstitch.base.provenance.files import atomic_path, load_yaml, read_json, read_yaml
 from slipstitch.config.former import FormerKeyError, without_former_keys
 from slipstitch.config.model import Config
 
@@ -93,17 +91,6 @@ def _word(text: str) -> Any:
         return text
 
 
-def _not_finite(value: Any, location: tuple) -> tuple | None:
-    pairs: Iterable[tuple[Any, Any]]
-    if isinstance(value, Mapping):
-        pairs = value.items()
-    elif isinstance(value, list):
-        pairs = enumerate(value)
-    else:
-        return location if isinstance(value, float) and not math.isfinite(value) else None
-    return next((bad for key, item in pairs if (bad := _not_finite(item, (*location, key)))), None)
-
-
 def _kind(value: Any) -> str:
     if value is None:
         return "nothing"
@@ -137,6 +124,7 @@ def _holds(mapping: Any, location: tuple) -> bool:
 _MESSAGES = {
     "bool_type": "must be true or false",
     "dict_type": "must be a mapping of keys",
+    "finite_number": "must be a finite number",
     "float_type": "must be a number",
     "greater_than": "must be greater than {gt:g}",
     "greater_than_equal": "must be at least {ge:g}",
@@ -208,9 +196,6 @@ def resolve_config(
         merged = without_former_keys("", merged)
     except FormerKeyError as error:
         raise BadInput(f"{source(error.location)}{error}") from None
-    bad = _not_finite(merged, ())
-    if bad is not None:
-        raise BadInput(f"{source(bad)}{'.'.join(map(str, bad))}: must be a finite number")
     try:
         # JSON, strictly: lists are lists, and neither "3" nor true is a number.
         return Config.model_validate_json(json.dumps(merged), strict=True)

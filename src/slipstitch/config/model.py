@@ -1,25 +1,30 @@
 """The configuration as a type, composed of sections in separate files."""
 
+import json
 from collections.abc import Sequence
 
 from pydantic import Field, model_validator
 
 from slipstitch.config.ablate import AblateSettings
-from slipstitch.config.calibrate import CalibrateSettings
 from slipstitch.config.captures import CaptureSettings
 from slipstitch.config.catalogue import VIEWPOINTS
-from slipstitch.config.compute import ComputeSettings
-from slipstitch.config.convergence import ConvergenceSettings
-from slipstitch.config.criticise import CriticiseSettings
+from slipstitch.config.dataset import (
+    CriticiseSettings,
+    PublishSettings,
+    ReleaseSettings,
+    SampleSettings,
+)
 from slipstitch.config.evaluate import EvaluateSettings
-from slipstitch.config.grid import GridSettings
 from slipstitch.config.instrument import InstrumentSettings
-from slipstitch.config.publish import PublishSettings
-from slipstitch.config.release import ReleaseSettings
 from slipstitch.config.render import RenderSettings
-from slipstitch.config.sample import SampleSettings
 from slipstitch.config.section import Section
-from slipstitch.config.simulation import SimulationSettings
+from slipstitch.config.simulation import (
+    CalibrateSettings,
+    ComputeSettings,
+    ConvergenceSettings,
+    GridSettings,
+    SimulationSettings,
+)
 from slipstitch.config.train import BY_SIMULATION, REFLECTIVE, TrainSettings
 
 
@@ -110,3 +115,15 @@ def _check_among(
 
 def _word(value: str | float) -> str:
     return value if isinstance(value, str) else f"{value:g}"
+
+
+def schema_text() -> str:
+    """The JSON schema of the configuration, for editors and readers: keys, meaning, bounds.
+
+    ``slipstitch schema > workflow/schemas/config.schema.json`` regenerates the file.
+    """
+    schema = {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        **Config.model_json_schema(),
+    }
+    return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"

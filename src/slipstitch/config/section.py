@@ -12,7 +12,7 @@ from slipstitch.config.former import without_former_keys
 class Section(BaseModel):
     """Keys that belong together: none may be unknown, none changes once it is read."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class RecordedSection(Section):
@@ -54,7 +54,7 @@ def _different(seeds: list[int]) -> list[int]:
 
 
 FRICTION_MAX = 10.0
-Friction = Annotated[float, Field(ge=0.0, le=FRICTION_MAX, allow_inf_nan=False)]
+Friction = Annotated[float, Field(ge=0.0, le=FRICTION_MAX)]
 Frictions = Annotated[tuple[Friction, ...], AfterValidator(_increasing)]
 Fabric = Annotated[str, AfterValidator(lambda name: _in_the_catalogue((name,))[0])]
 Fabrics = Annotated[tuple[str, ...], AfterValidator(_in_the_catalogue), AfterValidator(_named_once)]

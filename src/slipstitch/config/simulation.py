@@ -1,13 +1,73 @@
-"""Settings of the simulate stage. Pydantic and the standard library only."""
+"""Settings of the grid, of the simulations, their calibration, and the convergence study.
 
+Pydantic and the standard library only.
+"""
+
+import math
+from itertools import pairwise
 from math import ceil, floor
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, model_validator
+from pydantic import Field, field_validator, model_validator
 
-from slipstitch.config.section import Fabrics, Section
+from slipstitch.config.catalogue import fabric_names
+from slipstitch.config.section import Fabrics, Frictions, RecordedSection, Section
 
 SIDE_M = 0.20  # of the square of cloth
+# Fabrics whose folds' stiffness follows the end of a step whatever bending_stiffness_at says: the
+# cheaper rules were measured to be wrong for them (docs/how/physics.md).
+BENT_AT_END = ("tango-red-jet-set",)
+# What is swept: settings of the section ``simulation``, and the vertices along the strip; and the
+# name of the configured settings themselves.
+KEYS = ("time_step_s", "vertices", "friction_tolerance", "newton_iterations_max", "damping_s")
+BASE = "base"
+
+
+class GridSettings(Section):
+    """The simulations: every material with every friction coefficient, some times over."""
+
+    materials: Fabrics = Field(
+        ("gray-interlock", "11oz-black-denim", "ivory-rib-knit"),
+        min_length=1,
+        description="fabrics by name; ids m00..m09 are positions in the catalogue of ten",
+    )
+    frictions: Frictions = Field(
+        (0.1, 0.3, 0.6, 1.0),
+        min_length=1,
+        max_length=100,
+        description="friction coefficients, increasing, multiples of 0.001; id f0350 is 0.35",
+    )
+    replicates: int = Field(
+        2,
+        ge=1,
+        le=100,
+        description="simulations of each pair with different perturbations; ids r00..",
+    )
+    test_frictions: Frictions = Field(
+        (),
+        max_length=100,
+        description="off-grid coefficients, increasing, for testing only, simulated with every "
+        "material; ids follow those of `frictions`",
+    )
+    test_materials: Fabrics = Field(
+        (),
+        description="unseen fabrics, for testing only, simulated with every coefficient of "
+        "`frictions`",
+    )
+    own_benches: bool = Field(
+        False,
+        description="every simulation has clamps, curl and fabric of its own, shared with none at "
+        "another coefficient; only where its cameras are its own as well (viewpoints bench_1 "
+        "...), so that whole simulations are held out; ideal replicates share theirs",
+    )
+
+    @model_validator(mode="after")
+    def _training_and_testing_are_apart(self) -> "GridSettings":
+        for kind in ("materials", "frictions"):
+            both = set(getattr(self, kind)) & set(getattr(self, f"test_{kind}"))
+            if both:
+                raise ValueError(f"{kind} and test_{kind} share {', '.join(map(str, both))}")
+        return self
 
 
 class StageSettings(Section):
@@ -50,8 +110,10 @@ class StageSettings(Section):
         return self
 
 
-class SimulationSettings(Section):
+class SimulationSettings(RecordedSection):
     """Settings of a drop-and-drag simulation."""
+
+    NAME = "simulation"
 
     vertices_per_side: int = Field(
         41, ge=5, le=401, description="vertices per side of the 20 cm square"
@@ -93,17 +155,11 @@ class SimulationSettings(Section):
         le=1000,
         description="limit of Newton iterations; a step that needs more is halved",
     )
-    halvings_max: int = Field(12, ge=0, le=20, description="halvings of a step before giving up")
     bending_stiffness_at: Literal["start", "end", "rising"] = Field(
         "rising",
         description="the end of a step whose curvature the stiffness of a fold follows: the start, "
         "as ARCSim does, implicitly the end, or (rising) the end while the moment grows with "
         "curvature, the moment held where it would fall",
-    )
-    bending_stiffness_at_end: Fabrics = Field(
-        ("tango-red-jet-set",),
-        description="fabrics for which it is the end whatever bending_stiffness_at says: those "
-        "that the cheaper rules were measured to be wrong for (docs/how/physics.md)",
     )
     damping_s: float = Field(
         0.002, ge=0, le=1, description="stiffness-proportional damping time (the paper's 0.002)"
@@ -121,7 +177,6 @@ class SimulationSettings(Section):
     layer_friction: float | None = Field(
         None,
         ge=0,
-        allow_inf_nan=False,
         description="friction coefficient between layers of the cloth; null: the same as with "
         "the floor",
     )
@@ -176,9 +231,8 @@ class SimulationSettings(Section):
 
     def of_fabric(self, material: str) -> "SimulationSettings":
         """The settings that a fabric is simulated with."""
-        if material not in self.bending_stiffness_at_end:
-            return self
-        return self.model_copy(update={"bending_stiffness_at": "end"})
+        at_end = {"bending_stiffness_at": "end"} if material in BENT_AT_END else {}
+        return self.model_copy(update=at_end)
 
     @property
     def steps_a_frame(self) -> int:
@@ -209,3 +263,95 @@ class SimulationSettings(Section):
     def recorded_s(self) -> float:
         """Time of the last recorded frame, from the start of the stage."""
         return (self.frames - 1) / self.frame_rate_hz
+
+
+class ComputeSettings(Section):
+    """Device of simulations, and those that are not computed: results are equal up to rounding."""
+
+    device: str = Field(
+        "cpu",
+        pattern=r"^(cpu|cuda(:\d+)?)$",
+        description="where forces and stiffness are evaluated: cpu, cuda, cuda:1 ...; linear "
+        "systems are always solved on the CPU",
+    )
+    handed_out: str | None = Field(
+        None,
+        description="folder of simulations, or a release: what is there with the same fabric, "
+        "coefficient, seed and settings is taken instead of being simulated; null: none",
+    )
+
+
+class CalibrateSettings(Section):
+    """Settings to sweep with the pushed strip.
+
+    The strip experiment is run with the settings of the section ``simulation`` and with one of them
+    changed at a time; the cheapest that meet the requirements are used, never looser ones than
+    ``simulation`` says. With them the other known-answer experiments are checked.
+    """
+
+    strip_frictions: tuple[Annotated[float, Field(gt=0.0, le=10.0)], ...] = Field(
+        (0.05, 0.2, 0.35, 0.4, 0.6), min_length=1, description="pushed strip: friction coefficients"
+    )
+    strip_vertices: int = Field(
+        149, ge=8, le=1000, description="pushed strip: vertices along its 20 cm"
+    )
+    sweep_time_step_s: tuple[Annotated[float, Field(ge=1e-4, le=2.0)], ...] = Field(
+        (0.01, 0.1, 0.4), description="time steps tried in addition to simulation.time_step_s"
+    )
+    sweep_vertices: tuple[Annotated[int, Field(ge=8, le=1000)], ...] = Field(
+        (8, 15, 41), description="vertices tried in addition to strip_vertices"
+    )
+    sweep_friction_tolerance: tuple[Annotated[float, Field(gt=0.0, le=100.0)], ...] = Field(
+        (1e-2, 1.0, 10.0),
+        description="tolerances tried in addition to simulation.friction_tolerance",
+    )
+    sweep_newton_iterations_max: tuple[Annotated[int, Field(ge=1, le=1000)], ...] = Field(
+        (3, 10), description="limits tried in addition to simulation.newton_iterations_max"
+    )
+    sweep_damping_s: tuple[Annotated[float, Field(ge=0.0, le=1.0)], ...] = Field(
+        (0.0, 0.1), description="damping times tried in addition to simulation.damping_s"
+    )
+
+
+class ConvergenceSettings(Section):
+    """Runs of drop-and-drag to compare, and the criterion of convergence.
+
+    Every fabric and coefficient is simulated at the settings of the section ``simulation``, on
+    finer meshes, and with everything finer that stepping in time depends on: the time step a
+    quarter as long and never longer where the motion is steady, the error allowed to a step and
+    the tolerance a sixteenth, and the stiffness of folds implicit.
+    """
+
+    materials: Fabrics = Field(fabric_names(), min_length=1, description="fabrics of the catalogue")
+    frictions: Frictions = Field(
+        (0.1, 0.5, 1.5),
+        min_length=1,
+        description="friction coefficients, increasing, multiples of 0.001; between two, the worse "
+        "of them is said",
+    )
+    vertices_per_side: tuple[int, ...] = Field(
+        (41, 81),
+        min_length=1,
+        description="vertices per side of the meshes, increasing, with vertices at common "
+        "positions on the cloth",
+    )
+    window_s: float = Field(
+        56.0,
+        gt=0,
+        le=131,
+        description="simulated part of the protocol; 56 s cover the drop, the first stroke and the "
+        "first reversal",
+    )
+
+    @field_validator("vertices_per_side")
+    @classmethod
+    def _share_places(cls, sides: tuple[int, ...]) -> tuple[int, ...]:
+        if any(after <= before for before, after in pairwise(sides)) or sides[0] < 5:
+            raise ValueError("meshes must increase along the list, from 5 vertices per side")
+        if math.gcd(*(side - 1 for side in sides)) < 4:
+            raise ValueError(
+                f"meshes of {', '.join(map(str, sides))} vertices per side have too few "
+                "positions in common: one less than each must be a multiple of 4 or more, e.g. "
+                "41, 61, 81"
+            )
+        return sides

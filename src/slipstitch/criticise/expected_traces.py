@@ -24,8 +24,8 @@ from slipstitch.criticise.protocols import PROTOCOLS, incline, strip
 from slipstitch.criticise.protocols.dragged_cloth import rest_state, sliding_state, sticking_path
 from slipstitch.criticise.protocols.push import USUAL_STIFFNESS_N_M
 from slipstitch.criticise.protocols.stick_slip import Slider
+from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.friction_law import Contact, FrictionLaw
-from slipstitch.physics.gravity import GRAVITY_M_S2
 
 USUAL_SPEED_MM_S, USUAL_QUIET_S = 10.0, 0.4
 MOST_READINGS = 20_000  # of a run

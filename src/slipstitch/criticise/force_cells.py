@@ -11,7 +11,7 @@ from scipy.signal import find_peaks
 
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.sensors import DataFinding
-from slipstitch.physics.gravity import GRAVITY_M_S2
+from slipstitch.physics import GRAVITY_M_S2
 
 CELLS = {
     "drag": ("force_mN",),

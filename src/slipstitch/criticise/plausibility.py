@@ -11,11 +11,11 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import pandas as pd
 
-from slipstitch.base.angles import directions_in_radians, in_radians
+from slipstitch.base.tables import directions_in_radians, in_radians
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.force_cells import is_usual, refuted_clock, refuted_units
 from slipstitch.criticise.protocols.strip import foot, largest_weight_number
-from slipstitch.physics.gravity import GRAVITY_M_S2
+from slipstitch.physics import GRAVITY_M_S2
 
 FORCED = ("drag", "spring_slider", "push", "drop_drag")
 SMALLEST_COEFFICIENT, LARGEST_COEFFICIENT = 0.01, 5.0

@@ -12,7 +12,7 @@ from slipstitch.base.errors import BadInput
 from slipstitch.base.progress import note
 from slipstitch.base.provenance import provenance_record, recorded_path, start_clock
 from slipstitch.base.tables import NUMBER, as_number, read_cells, unit_of
-from slipstitch.physics.gravity import GRAVITY_M_S2
+from slipstitch.physics import GRAVITY_M_S2
 
 # What may be read, the column of a trace, and what a unit is worth there.
 _FORCES = {

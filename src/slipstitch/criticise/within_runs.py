@@ -19,7 +19,7 @@ from slipstitch.criticise.measurements import Measurements
 from slipstitch.criticise.protocols.push import LEVEL, PEAK, PushBlock
 from slipstitch.criticise.protocols.spring_slider import slips_of_trace
 from slipstitch.criticise.protocols.stick_slip import Slider, swing
-from slipstitch.physics.gravity import GRAVITY_M_S2
+from slipstitch.physics import GRAVITY_M_S2
 
 PIECES = 16
 FEWEST_SLIPS, FEWEST_RUNS = 5, 2  # of a run's pieces that are kept and left out; with as many

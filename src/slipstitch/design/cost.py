@@ -8,10 +8,9 @@ from collections import Counter
 from dataclasses import dataclass
 
 from slipstitch.base.page.wording import aligned, size
-from slipstitch.config.calibrate import KEYS
 from slipstitch.config.catalogue import FLOORS
 from slipstitch.config.model import Config
-from slipstitch.config.simulation import SimulationSettings
+from slipstitch.config.simulation import KEYS, SimulationSettings
 from slipstitch.design.grid import films, floors_of, simulations, viewpoint_ids
 from slipstitch.design.trainable import instrument_views, trainings
 

@@ -17,9 +17,9 @@ from slipstitch.base.provenance.record import provenance_record, start_clock, wr
 from slipstitch.config.catalogue import VIEWPOINTS, fabric_names
 
 if TYPE_CHECKING:
-    from slipstitch.config.grid import GridSettings
     from slipstitch.config.model import Config
     from slipstitch.config.render import RenderSettings
+    from slipstitch.config.simulation import GridSettings
 
 
 @dataclass(frozen=True)
@@ -103,14 +103,14 @@ def simulations(config: Config) -> list[Simulation]:
 def _places(config: Config) -> list[tuple[dict[str, Any], int]]:
     """Every `Simulation` but for its seed, and its replicate; by material, then friction.
 
-    Those for testing only come last: every material at the coefficients off the grid, then every
-    fabric that no network trains on, at the grid's.
+    Those for testing only, one a pair, come last: every material at the coefficients off the grid,
+    then every fabric that no network trains on, at the grid's.
     """
     grid = config.grid
     parts = (
         (grid.materials, "train", grid.frictions, "train", grid.replicates),
-        (grid.materials, "train", grid.test_frictions, "test", grid.test_replicates),
-        (grid.test_materials, "test", grid.frictions, "train", grid.test_replicates),
+        (grid.materials, "train", grid.test_frictions, "test", 1),
+        (grid.test_materials, "test", grid.frictions, "train", 1),
     )
     return [
         (

@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from slipstitch.config.dataset import SampleSettings
 from slipstitch.config.render import RenderSettings
-from slipstitch.config.sample import SampleSettings
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.design.sampled_frames import sampled_frames
 from slipstitch.design.stage_path import SIDE_M, StagePath

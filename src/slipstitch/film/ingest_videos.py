@@ -10,6 +10,7 @@ import pyarrow as pa
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import provenance_record, read_parquet, start_clock, write_parquet
 from slipstitch.config import Config
+from slipstitch.config.catalogue import fabric_names
 from slipstitch.dataset.images import pixels_digest, write_frames
 from slipstitch.dataset.manifest import dataset_digest, read_manifest, write_manifest
 from slipstitch.design.grid import material_id
@@ -18,7 +19,6 @@ from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.stage_video import StageVideo, read_stage_video
 from slipstitch.images.camera_file import read_camera_file
 from slipstitch.images.encoding import encode_png
-from slipstitch.physics.fabric import fabric_names
 
 CAPTURES = "captures.parquet"
 CAPTURES_SCHEMA = pa.schema(

@@ -21,8 +21,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import optimize, stats
 
-from slipstitch.base.angles import in_radians
 from slipstitch.base.errors import BadInput
+from slipstitch.base.tables import in_radians
 from slipstitch.film.csv_table import TableColumn, name, number, read_table, whole_number
 
 COVERAGE = 0.95

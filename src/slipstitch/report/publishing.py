@@ -23,7 +23,7 @@ from slipstitch.base.provenance import (
     read_provenance,
     start_clock,
 )
-from slipstitch.base.provenance.reading import SIDECAR_SUFFIX
+from slipstitch.base.provenance.files import SIDECAR_SUFFIX
 from slipstitch.base.provenance.record import write_json
 from slipstitch.config import Config, load_config
 from slipstitch.config.simulation import SimulationSettings

@@ -1,10 +1,11 @@
 """Provenance of artefacts: atomic writes, code digests, records beside or inside files."""
 
 from slipstitch.base.provenance.code import code_digest, code_sources
-from slipstitch.base.provenance.files import atomic_path, file_digest
-from slipstitch.base.provenance.reading import (
+from slipstitch.base.provenance.files import (
+    atomic_path,
     check_image,
     check_recorded,
+    file_digest,
     image_bytes,
     load_yaml,
     open_parquet,

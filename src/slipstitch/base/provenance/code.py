@@ -22,7 +22,7 @@ STAGES: dict[str, tuple[str, ...]] = {
     "calibrate.calibration": ("physics.calibration.calibration",),
     "calibrate.pictures": ("physics.calibration.pictures",),
     "convergence": ("physics.convergence",),
-    "convergence.case_run": ("physics.convergence.case_run",),
+    "convergence.case_run": ("physics.convergence.cases",),
     "simulate": ("physics.simulation",),
     "protocol": ("physics.experiments",),
     "render": ("images",),

@@ -3,10 +3,10 @@
 import contextlib
 import functools
 import hashlib
-import importlib.metadata
 import json
 import os
 import platform
+import re
 import resource
 import subprocess
 import time
@@ -16,13 +16,18 @@ from typing import Any
 
 from slipstitch import __version__
 from slipstitch.base.project import PACKAGE
-from slipstitch.base.provenance.code import code_digest
-from slipstitch.base.provenance.files import atomic_path, file_digest
-from slipstitch.base.provenance.reading import SIDECAR_SUFFIX, open_parquet, record_beside
+from slipstitch.base.provenance.code import code_digest, installed_version
+from slipstitch.base.provenance.files import (
+    SIDECAR_SUFFIX,
+    atomic_path,
+    file_digest,
+    open_parquet,
+    record_beside,
+)
 
 METADATA_KEY = b"slipstitch"
 DIGEST_KEY = b"slipstitch_sha256"
-# A checksum per page: damage is noticed when a file is read (slipstitch.base.provenance.reading).
+# A checksum per page: damage is noticed when a file is read (slipstitch.base.provenance.files).
 WRITE_OPTIONS = {"compression": "zstd", "write_page_checksum": True}
 #: What of a checkout decides about results, beside the configuration, whose values are recorded.
 TRACKED = ("Snakefile", "rules", "envs", "src", "workflow", "LICENSE", "CITATION.cff")
@@ -94,30 +99,20 @@ def _git() -> tuple[str | None, bool | None]:
     return ask("rev-parse", "HEAD"), None if changes is None else bool(changes)
 
 
-@functools.cache
 def versions() -> dict[str, str]:
     """Versions of Python, Slipstitch and the packages a result may depend on, if installed."""
-    found = {"python": platform.python_version(), "slipstitch": __version__}
-    for package in RECORDED_PACKAGES:
-        try:
-            found[package] = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            continue
-    return found
+    found = {package: installed_version(package) for package in RECORDED_PACKAGES}
+    installed = {package: version for package, version in found.items() if version is not None}
+    return {"python": platform.python_version(), "slipstitch": __version__, **installed}
 
 
 @functools.cache
 def host_kind() -> str:
     """The kind of machine (not its identity): system, processor, number of CPUs."""
     model = platform.machine()
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as stream:
-            for line in stream:
-                if line.startswith("model name"):
-                    model = line.split(":", 1)[1].strip()
-                    break
-    except OSError:
-        pass
+    with contextlib.suppress(OSError):
+        named = re.search(r"^model name\s*:(.*)$", Path("/proc/cpuinfo").read_text("utf-8"), re.M)
+        model = named[1].strip() if named else model
     return f"{platform.system()} {platform.machine()}, {model}, {os.cpu_count()} CPUs"
 
 
@@ -155,13 +150,12 @@ def provenance_record(
     Parameters
     ----------
     stage : str
-        Package of the stage below ``slipstitch``; gives the code digest.
+        A key of `slipstitch.base.provenance.code.STAGES`; gives the code digest.
     inputs : iterable of paths
         Files that were read.
     config : mapping or pydantic model
         The configuration keys that were used.
     seed : int, optional
-        Seed of the random numbers.
     started : tuple, optional
         What `start_clock` returned when the work began; by default the times count from the start
         of the process (CPU) and from the import of this module (wall).
@@ -182,7 +176,7 @@ def provenance_record(
         "code_digest": code_digest(stage),
         "git_commit": commit,
         "git_dirty": dirty,
-        "versions": dict(versions()),
+        "versions": versions(),
         "seed": seed,
         "host_kind": host_kind(),
         "wall_s": round(start_clock()[0] - wall_then, 4),
@@ -190,20 +184,14 @@ def provenance_record(
     }
 
 
-def _sidecar(path: str | os.PathLike) -> Path:
-    return Path(os.fspath(path) + SIDECAR_SUFFIX)
-
-
-def write_sidecar(path: str | os.PathLike, record: Mapping[str, Any]) -> Path:
-    """Write `record` beside the file `path`, as ``<path>.provenance.json``; return where.
+def write_sidecar(path: str | os.PathLike, record: Mapping[str, Any]) -> None:
+    """Write `record` beside the file `path`, as ``<path>.provenance.json``.
 
     The file's SHA-256 is noted in it, so that whoever reads the file sees damage to it.
     """
-    side = _sidecar(path)
     if Path(path).is_file():
         record = {**record, "sha256": file_digest(path)}
-    write_json(side, _plain(record))
-    return side
+    write_json(f"{os.fspath(path)}{SIDECAR_SUFFIX}", _plain(record))
 
 
 def write_text(path: str | os.PathLike, text: str, record: Mapping[str, Any] | None = None) -> None:
@@ -231,18 +219,10 @@ def recorded_path(path: str | os.PathLike, record: Mapping[str, Any]) -> Iterato
 
 
 def read_sidecar(path: str | os.PathLike) -> dict[str, Any]:
-    """The record beside the file `path`.
-
-    Raises
-    ------
-    FileNotFoundError
-        If it has none.
-    Damaged
-        If it is no JSON, or no mapping.
-    """
+    """The record beside the file `path`; FileNotFoundError without one, Damaged if none."""
     record = record_beside(path)
     if record is None:
-        raise FileNotFoundError(_sidecar(path))
+        raise FileNotFoundError(f"{os.fspath(path)}{SIDECAR_SUFFIX}")
     record.pop("sha256", None)  # of the file, not of its origin
     return record
 
@@ -250,29 +230,21 @@ def read_sidecar(path: str | os.PathLike) -> dict[str, Any]:
 def attach_metadata(table, metadata: Mapping[str, Any], record: Mapping[str, Any] | None = None):
     """A pyarrow table or schema with `metadata` merged into its JSON under key ``slipstitch``.
 
-    Parameters
-    ----------
-    table : pyarrow.Table or pyarrow.Schema
-        What to attach to; other metadata keys stay.
-    metadata : mapping
-        Entries of the JSON object; they win over entries that are already there.
-    record : mapping, optional
-        Provenance, put under the entry ``provenance``.
-
-    Returns
-    -------
-    pyarrow.Table or pyarrow.Schema
-        As `table`, sharing its data.
+    Entries of `metadata` win over those that are already there; a `record` goes to the entry
+    ``provenance``. Other metadata keys stay, the data are shared.
     """
     schema = getattr(table, "schema", table)
     keys = dict(schema.metadata or {})
-    merged = json.loads(keys.get(METADATA_KEY, b"{}")) | _plain(metadata)
-    if record is not None:
-        merged["provenance"] = _plain(record)
-    keys[METADATA_KEY] = json.dumps(merged, allow_nan=False).encode()
-    keys[DIGEST_KEY] = hashlib.sha256(keys[METADATA_KEY]).hexdigest().encode()
+    whole = json.loads(keys.get(METADATA_KEY, b"{}")) | _plain(metadata)
     replace = getattr(table, "replace_schema_metadata", None) or table.with_metadata
-    return replace(keys)
+    return replace(keys | _described(whole, record))
+
+
+def _described(metadata: Mapping[str, Any], record: Mapping[str, Any] | None) -> dict[bytes, bytes]:
+    """What a schema says in metadata: the JSON object, and its SHA-256."""
+    whole = {**_plain(metadata), **({} if record is None else {"provenance": _plain(record)})}
+    text = json.dumps(whole, allow_nan=False).encode()
+    return {METADATA_KEY: text, DIGEST_KEY: hashlib.sha256(text).hexdigest().encode()}
 
 
 def write_parquet(
@@ -307,12 +279,7 @@ class ParquetStream:
 
     def describe(self, metadata: Mapping[str, Any], record: Mapping[str, Any]) -> None:
         """Say what the file holds and what made it, once, after the last rows."""
-        whole = {**_plain(metadata), "provenance": _plain(record)}
-        text = json.dumps(whole, allow_nan=False)
-        digest = hashlib.sha256(text.encode()).hexdigest()
-        self._writer.add_key_value_metadata(
-            {METADATA_KEY.decode(): text, DIGEST_KEY.decode(): digest}
-        )
+        self._writer.add_key_value_metadata(_described(metadata, record))
 
 
 @contextlib.contextmanager
@@ -335,9 +302,7 @@ def parquet_stream(path: str | os.PathLike, schema, **options: Any) -> Iterator[
 
 
 def read_metadata(source) -> dict[str, Any]:
-    """The JSON object under key ``slipstitch`` of a Parquet file, pyarrow table or schema.
-
-    An empty mapping if there is none.
+    """The JSON object under key ``slipstitch`` of a Parquet file, pyarrow table or schema, or {}.
 
     Raises
     ------
@@ -360,13 +325,7 @@ def read_metadata(source) -> dict[str, Any]:
 
 
 def read_provenance(path: str | os.PathLike) -> dict[str, Any]:
-    """The record of any artefact: inside a Parquet file, else beside the file.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the file has no record.
-    """
+    """The record of any artefact, in a Parquet file or beside it; FileNotFoundError without one."""
     if not Path(path).exists():
         raise FileNotFoundError(path)
     if Path(path).suffix == ".parquet" and "provenance" in (inside := read_metadata(path)):

@@ -27,8 +27,8 @@ from slipstitch.criticise.protocols.drag_trace import (
 from slipstitch.criticise.protocols.protocol import Protocol, Quantity
 from slipstitch.criticise.protocols.trace_noise import TraceNoise, noise_of
 from slipstitch.criticise.traces import Signal
+from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.friction_law import Contact, FrictionLaw
-from slipstitch.physics.gravity import GRAVITY_M_S2
 
 PLATEAUS = ("force_plateau_mN", "force_back_plateau_mN")
 SLIPS = ("force_first_slip_mN", "force_reversal_slip_mN")

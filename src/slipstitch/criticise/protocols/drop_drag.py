@@ -21,8 +21,8 @@ from slipstitch.criticise.protocols.dragged_cloth import rest_state, sliding_sta
 from slipstitch.criticise.protocols.protocol import Protocol, Quantity
 from slipstitch.criticise.protocols.trace_noise import noise_of, off_neighbours
 from slipstitch.criticise.traces import Signal
+from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.friction_law import Contact
-from slipstitch.physics.gravity import GRAVITY_M_S2
 
 # A stage that turns early stands still while its reading goes on.
 TURN_MARGIN_MM = 5.0

@@ -15,8 +15,8 @@ from slipstitch.criticise.protocols.block import (
 )
 from slipstitch.criticise.protocols.columns import ANGLE_DEG, RUN_COLUMNS, number
 from slipstitch.criticise.protocols.protocol import Protocol, Quantity
+from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.friction_law import Contact, FrictionLaw
-from slipstitch.physics.gravity import GRAVITY_M_S2
 
 LARGEST_ANGLE_RAD = np.radians(89.0)
 

@@ -24,8 +24,8 @@ from slipstitch.criticise.protocols.block import (
 from slipstitch.criticise.protocols.columns import ANGLE_DEG, RUN_COLUMNS, number, text
 from slipstitch.criticise.protocols.protocol import Protocol, Quantity
 from slipstitch.criticise.traces import Signal
+from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.friction_law import Contact
-from slipstitch.physics.gravity import GRAVITY_M_S2
 
 LEVEL, PEAK = "push_level_mN", "push_peak_mN"
 # A block that turns needs less force: only near-translations are read.

@@ -27,8 +27,8 @@ from slipstitch.criticise.protocols.protocol import Protocol, Quantity
 from slipstitch.criticise.protocols.stick_slip import Slider, steady_cycle, steady_force
 from slipstitch.criticise.protocols.trace_noise import TraceNoise, noise_of, off_neighbours
 from slipstitch.criticise.traces import Signal
+from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.friction_law import Contact
-from slipstitch.physics.gravity import GRAVITY_M_S2
 
 LEVEL, SWING, FIRST_SWING = "slider_level_mN", "slider_swing_mN", "slider_first_swing_mN"
 DESIGN_QUANTITIES = (LEVEL, SWING)

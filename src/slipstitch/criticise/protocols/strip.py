@@ -13,8 +13,8 @@ from scipy.interpolate import RectBivariateSpline, make_interp_spline
 from slipstitch.criticise.protocols.block import Block, conditions_of, covariates_of, downhill_rad
 from slipstitch.criticise.protocols.columns import ANGLE_DEG, RUN_COLUMNS, number, text
 from slipstitch.criticise.protocols.protocol import Protocol, Quantity
+from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.friction_law import Contact, FrictionLaw
-from slipstitch.physics.gravity import GRAVITY_M_S2
 
 RATIO_POINTS = np.linspace(0.0, 1.0, 41)
 

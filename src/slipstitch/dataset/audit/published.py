@@ -9,7 +9,7 @@ from typing import Any
 
 from slipstitch.base.errors import BadInput, Damaged, first_line
 from slipstitch.base.provenance import file_digest, read_json, read_metadata
-from slipstitch.base.provenance.reading import SIDECAR_SUFFIX
+from slipstitch.base.provenance.files import SIDECAR_SUFFIX
 from slipstitch.dataset.audit.admission import check_entries, limited_memory
 from slipstitch.dataset.audit.findings import Finding, Kind, not_part, printable, sorted_findings
 from slipstitch.dataset.audit.staleness import other_code

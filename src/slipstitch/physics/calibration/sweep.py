@@ -4,43 +4,31 @@ import os
 import sys
 import time
 from collections.abc import Callable, Mapping
-from functools import cache
 from typing import Any
 
 from tqdm import tqdm
 
 from slipstitch.base.errors import NotConverged
 from slipstitch.base.provenance import provenance_record, start_clock, write_json
-from slipstitch.config.calibrate import BASE, KEYS, CalibrateSettings
-from slipstitch.config.simulation import SimulationSettings
-from slipstitch.physics.gravity import GRAVITY_M_S2
+from slipstitch.config.simulation import BASE, KEYS, CalibrateSettings, SimulationSettings
+from slipstitch.physics import GRAVITY_M_S2
 
 STRIP_YOUNG_MODULI_PA = (6.5e8, 6.5e9)  # of its fabrics: Γ = 2.4 and 0.24
+KEPT = (
+    *("slip_strain", "flat_strain", "regime", "friction_read_from_strain"),
+    *("newton_iterations", "shape_strain"),
+)
 STEPS_OF_SHAPE = 4  # every so many vertices of a shape are kept
 DENSITY_THICKNESS_LENGTH = (0.2, 1.0e-3, 0.2)  # kg/m^2, m, m: as the protocol has them
 
 # What an experiment does not exercise: the grid's mesh, what is recorded, the bench, and the law.
 NOT_NUMERICAL = frozenset(
-    {
-        "vertices_per_side",
-        "frames",
-        "frame_rate_hz",
-        "stage",
-        "pins",
-        "model",
-        "warp",
-        "settle_s",
-        "yaw_sd_deg",
-        "height_sd_m",
-        "fabric_sd_rel",
-        "natural_curl_per_m",
-        "curl_side",
-        "ideal_replicates",
-        "bending_stiffness_at_end",
-        "self_contact",
-        "thickness_m",
-        "layer_friction",
-    }
+    (
+        *("vertices_per_side", "frames", "frame_rate_hz", "stage", "pins", "settle_s"),
+        *("model", "warp", "self_contact", "thickness_m", "layer_friction"),
+        *("yaw_sd_deg", "height_sd_m", "fabric_sd_rel", "natural_curl_per_m"),
+        *("curl_side", "ideal_replicates"),
+    )
 )
 
 RunProtocol = Callable[[str, dict[str, Any], SimulationSettings], Mapping[str, Any]]
@@ -55,12 +43,6 @@ def gamma_of(young_modulus_Pa: float) -> float:
 def verified_settings(simulation: SimulationSettings) -> dict[str, Any]:
     """The numerical settings that the experiments exercise, as JSON can hold them."""
     return simulation.model_dump(mode="json", exclude=set(NOT_NUMERICAL))
-
-
-def base_settings(settings: CalibrateSettings, simulation: SimulationSettings) -> dict[str, Any]:
-    """The configured value of every swept setting."""
-    configured = {key: getattr(simulation, key) for key in KEYS if key != "vertices"}
-    return {key: configured.get(key, settings.strip_vertices) for key in KEYS}
 
 
 def variations(
@@ -78,7 +60,7 @@ def variations(
     list of dict
         Complete values of `KEYS`.
     """
-    base = base_settings(settings, simulation)
+    base = {one: getattr(simulation, one, settings.strip_vertices) for one in KEYS}
     if key == BASE:
         return [base]
     values = getattr(settings, f"sweep_{key}")
@@ -122,6 +104,8 @@ def run_settings(
 
 
 def _run(modulus, friction, vertices, simulation, run_protocol) -> dict[str, Any]:
+    from slipstitch.physics.experiments.strip import strip_slip_strain, theory_regime
+
     options = {"friction": friction, "gamma": gamma_of(modulus), "vertices": vertices}
     began = time.process_time()
     try:
@@ -129,33 +113,17 @@ def _run(modulus, friction, vertices, simulation, run_protocol) -> dict[str, Any
         failure = None
     except NotConverged as error:
         result, failure = {}, str(error)
-    keys = (
-        "slip_strain",
-        "flat_strain",
-        "regime",
-        "friction_read_from_strain",
-        "newton_iterations",
-        "shape_strain",
-    )
+    shape_m = result.get("shape_m", [])[::STEPS_OF_SHAPE]
     return {
         "young_modulus_Pa": modulus,
         "friction": friction,
-        **{key: result.get(key) for key in keys},
-        "theory_slip_strain": _theory(friction)[0],
-        "theory_regime": _theory(friction)[1],
-        "shape_m": [[round(value, 6) for value in point] for point in result.get("shape_m", [])][
-            ::STEPS_OF_SHAPE
-        ],
+        **{key: result.get(key) for key in KEPT},
+        "theory_slip_strain": strip_slip_strain(friction),
+        "theory_regime": theory_regime(friction),
+        "shape_m": [[round(value, 6) for value in point] for point in shape_m],
         "failure": failure,
         "cpu_s": round(time.process_time() - began, 3),
     }
-
-
-@cache
-def _theory(friction: float) -> tuple[float | None, str]:
-    from slipstitch.physics.experiments.strip import strip_slip_strain, theory_regime
-
-    return strip_slip_strain(friction), theory_regime(friction)
 
 
 def sweep(

@@ -13,7 +13,7 @@ import warp as wp
 
 from slipstitch.physics.cloth.mesh import ClothMesh
 from slipstitch.physics.cloth.tangent import Entries, add_entry
-from slipstitch.physics.fabric.law import CURVATURE_SPACING_PER_M, FOLD_CURVATURES, ElasticTables
+from slipstitch.physics.fabric import CURVATURE_SPACING_PER_M, FOLD_CURVATURES, ElasticTables
 
 wp.set_module_options({"enable_backward": False})
 

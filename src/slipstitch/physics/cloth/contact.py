@@ -5,7 +5,7 @@ line x = 0 (for the capstan): contact is worked out in coordinates along, across
 
 Normal contact is a stiff penalty, a pressure that grows with depth (a micrometre or less under the
 cloth's weight).
-Friction is exact, by :mod:`return mapping <cloth.return_mapping>`: a node in contact
+Friction is exact, by :mod:`return mapping <cloth.friction>`: a node in contact
 hangs on an anchor; while |Q| is below the friction law's limit the anchor does not move (no creep,
 microslip of about a micrometre that is elastic and returns). Both springs are as stiff as a node's
 area is large: cloth that lies evenly sinks in evenly, and all of it reaches the limit together.
@@ -18,8 +18,13 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
-from slipstitch.physics.cloth.friction import ContactState, force_limit
-from slipstitch.physics.cloth.return_mapping import kept_pull, returned_force, returned_stiffness
+from slipstitch.physics.cloth.friction import (
+    ContactState,
+    force_limit,
+    kept_pull,
+    returned_force,
+    returned_stiffness,
+)
 from slipstitch.physics.cloth.tangent import Entries, add_entry
 
 wp.set_module_options({"enable_backward": False})
@@ -66,13 +71,7 @@ def ground_point(p: wp.vec3d, curvature: wp.float64) -> GroundPoint:
 
 
 def ground_coordinates(x: np.ndarray, curvature: float) -> tuple[np.ndarray, np.ndarray]:
-    """Do what `ground_point` does for many points, in NumPy.
-
-    Parameters
-    ----------
-    x : ndarray, shape (n, 3)
-    curvature : float
-        Of the ground, in 1/m.
+    """Do what `ground_point` does for many points (n, 3), in NumPy.
 
     Returns
     -------

@@ -14,12 +14,7 @@ import warp as wp
 
 from slipstitch.physics.cloth.mesh import ClothMesh
 from slipstitch.physics.cloth.tangent import Entries, add_entry
-from slipstitch.physics.fabric.law import (
-    NORMAL_STRAIN_MIN,
-    STRAIN_NODES,
-    STRAIN_SPACING,
-    ElasticTables,
-)
+from slipstitch.physics.fabric import NORMAL_STRAIN_MIN, STRAIN_NODES, STRAIN_SPACING, ElasticTables
 
 wp.set_module_options({"enable_backward": False})
 

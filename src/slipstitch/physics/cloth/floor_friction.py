@@ -8,11 +8,11 @@ from math import cos, sin
 import numpy as np
 import warp as wp
 
+from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.cloth.contact import FrictionState
 from slipstitch.physics.cloth.mesh import ClothMesh
 from slipstitch.physics.friction_law import FrictionLaw
-from slipstitch.physics.friction_law.contact import REFERENCE_HUMIDITY_PCT
-from slipstitch.physics.gravity import GRAVITY_M_S2
+from slipstitch.physics.friction_law.mechanisms import REFERENCE_HUMIDITY_PCT
 
 
 @dataclass(frozen=True)

@@ -1,23 +1,31 @@
-"""The friction law of :mod:`slipstitch.physics.friction_law` as Warp functions.
+"""Dry friction as Warp functions: the law, and return mapping for floor and layers alike.
 
-The same formulas in the same order as in :meth:`FrictionLaw.force_limit`, at the parameters of
-every mechanism in the order of :meth:`FrictionLaw.parameter_values`. A test holds both against each
-other, mechanism by mechanism.
+The law is that of :mod:`slipstitch.physics.friction_law`: the same formulas in the same order as in
+:meth:`FrictionLaw.force_limit`, at the parameters of every mechanism in the order of
+:meth:`FrictionLaw.parameter_values`. A test holds both against each other, mechanism by mechanism.
+
+A contact hangs on what it remembers by a stiff tangential spring. While the spring's force is
+below the friction law's limit the memory stays (stick); at the limit the force is the limit,
+along the spring, and the memory is dragged after (slip). Simo and Hughes, Computational
+Inelasticity (1998), ch. 1; Wriggers, Computational Contact Mechanics (2006).
 """
 
 from __future__ import annotations
 
+from typing import Any
+
 import warp as wp
 
 from slipstitch.physics.friction_law import CONTACT_MECHANISMS
-from slipstitch.physics.friction_law.contact import (
+from slipstitch.physics.friction_law.law import CURVE_QUANTITIES, MOST_KNOTS
+from slipstitch.physics.friction_law.mechanisms import (
+    LEAST_RATIO,
     REFERENCE_DWELL_S,
     REFERENCE_HUMIDITY_PCT,
     REFERENCE_PRESSURE_PA,
     REFERENCE_SPEED_M_S,
+    SLOWEST_M_S,
 )
-from slipstitch.physics.friction_law.curve import CURVE_QUANTITIES, MOST_KNOTS
-from slipstitch.physics.friction_law.mechanisms import LEAST_RATIO, SLOWEST_M_S
 
 wp.set_module_options({"enable_backward": False})
 
@@ -106,3 +114,43 @@ def force_limit(
     force = force * (ONE + values[HUMIDITY] * humid / TEN)
     force = force * curve_factor(values, at_rest, load_ratio, contact)
     return wp.max(force + added, ZERO)
+
+
+@wp.func
+def returned_force(force: Any, limit: wp.float64):
+    """Force of the spring (N), cut to the limit."""
+    size = wp.length(force)
+    if size > limit:
+        force = force * (limit / size)
+    return force
+
+
+@wp.func
+def kept_pull(pull_m: wp.float64, stiffness: wp.float64, limit: wp.float64) -> wp.float64:
+    """Part of the spring's length that is left once the memory has been dragged after."""
+    reach = limit / stiffness
+    if pull_m > reach:
+        return reach / pull_m
+    return ONE
+
+
+@wp.func
+def returned_stiffness(
+    pull_m: wp.float64,
+    surface: wp.mat33d,
+    sideways: wp.mat33d,
+    stiffness: wp.float64,
+    limit: wp.float64,
+) -> wp.mat33d:
+    """Symmetric part of the tangent (N/m): how the limit follows the load is left out.
+
+    Parameters
+    ----------
+    pull_m : float64
+        Length of the spring.
+    surface, sideways : mat33d
+        Projectors on the surface, and on its direction across the spring.
+    """
+    if pull_m * stiffness <= limit:
+        return surface * stiffness
+    return sideways * (limit / pull_m)

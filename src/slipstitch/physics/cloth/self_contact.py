@@ -18,11 +18,12 @@ from __future__ import annotations
 import numpy as np
 import warp as wp
 
+from slipstitch.physics.cloth.friction import kept_pull, returned_force, returned_stiffness
 from slipstitch.physics.cloth.mesh import ClothMesh
-from slipstitch.physics.cloth.near_pairs import NearPairs
 from slipstitch.physics.cloth.proximity import (
     EDGE_EDGE,
     Corners,
+    NearPairs,
     between,
     clear_part,
     closest,
@@ -31,7 +32,6 @@ from slipstitch.physics.cloth.proximity import (
     slide,
     weights,
 )
-from slipstitch.physics.cloth.return_mapping import kept_pull, returned_force, returned_stiffness
 
 wp.set_module_options({"enable_backward": False})
 
@@ -235,7 +235,7 @@ class SelfContact:
     Raises
     ------
     NotConverged
-        More than ``near_pairs.PAIRS_MAX`` pairs are near (from :meth:`cover`).
+        More than ``proximity.PAIRS_MAX`` pairs are near (from :meth:`cover`).
     """
 
     def __init__(

@@ -19,7 +19,7 @@ from slipstitch.physics.cloth.floor_friction import FloorFriction
 from slipstitch.physics.cloth.mesh import ClothMesh
 from slipstitch.physics.cloth.self_contact import SelfContact
 from slipstitch.physics.cloth.tangent import Assembly, Entries
-from slipstitch.physics.fabric.law import ElasticTables
+from slipstitch.physics.fabric import ElasticTables
 
 
 class Sheet:

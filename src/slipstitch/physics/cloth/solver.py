@@ -14,22 +14,22 @@ from collections.abc import Callable
 from dataclasses import dataclass, fields
 from enum import Enum, auto
 from math import isfinite, sqrt
+from operator import add
 from typing import Literal
 
 import numpy as np
 import warp as wp
 
 from slipstitch.base.errors import NotConverged
+from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.cloth import bending, contact
 from slipstitch.physics.cloth.floor_friction import Conditions, FloorFriction
-from slipstitch.physics.cloth.krylov import flexible_gmres
 from slipstitch.physics.cloth.mesh import ClothMesh
 from slipstitch.physics.cloth.self_contact import SelfContact
 from slipstitch.physics.cloth.sheet import Sheet, check_device
-from slipstitch.physics.cloth.tangent import Tangent
-from slipstitch.physics.fabric.law import ElasticTables
+from slipstitch.physics.cloth.tangent import Tangent, flexible_gmres
+from slipstitch.physics.fabric import ElasticTables
 from slipstitch.physics.friction_law import FrictionLaw
-from slipstitch.physics.gravity import GRAVITY_M_S2
 
 FULL_TOUCH = 0.05  # of the nodal force: load from which a node touches with its whole area
 # Tuning of the nonlinear solver; results do not depend on it, cost does.
@@ -40,6 +40,7 @@ PRODUCTS_MAX = 8  # more products with the exact tangent than this want a new fa
 KRYLOV_ACCURACY = 0.1  # of a correction: residual left over residual
 DIFFERENCE_M = 1e-9  # displacement by which tangents are differenced
 EXTRAPOLATION_MAX = 64.0  # of a correction, in the line search
+HALVINGS_MAX = 12  # of a step that does not converge: more are an error
 REFINEMENTS_MAX = 3  # halvings of a step for accuracy's sake
 TRUSTED_AFTER = 3  # iterations from which a step is given up that is clearly too long
 CLEARLY = 1.5  # times the error that is allowed
@@ -50,54 +51,28 @@ COVERS_MAX = 4  # solutions of a step, each with more near parts of the cloth kn
 
 @dataclass(frozen=True)
 class SolverSettings:
-    """Numerical settings of the time stepping.
+    """Numerical settings of the time stepping."""
 
-    Attributes
-    ----------
-    friction_tolerance : float
-        Largest out-of-balance force on a node, over friction coefficient times nodal weight.
-    friction_floor : float
-        Friction coefficient that the tolerance is taken at when the real one is smaller.
-    newton_iterations_max : int
-        A step that needs more is halved.
-    halvings_max : int
-        More halvings of one step than this are an error.
-    step_error_m : float
-        A step whose time discretisation moves the vertices by more than this (root of the
-        mean square) is halved, up to three times.
-    bending_stiffness_at : {"start", "end", "rising"}
-        The end of the step whose curvature the stiffness of a hinge follows; ``rising``: the end
-        while the moment grows with curvature; where it would fall within the step it is held.
-    damping_s : float
-        Stiffness-proportional damping time.
-    penetration_m : float
-        Depth to which the cloth's weight presses the floor where it lies evenly; also its elastic
-        microslip there at friction coefficient 1.
-    self_contact : bool
-        Whether the cloth's layers touch one another, rather than pass through.
-    thickness_m : float
-        Distance between the middle surfaces of touching layers.
-    layer_penetration_m : float
-        Likewise for one pair of touching parts of the cloth.
-    layer_friction : float or None
-        Friction coefficient between layers; None takes that of the floor.
-    device : str
-        Warp device on which forces and stiffness are evaluated.
-    """
-
+    # Largest out-of-balance force on a node, over friction coefficient times nodal weight; and the
+    # coefficient that it is taken at when the real one is smaller.
     friction_tolerance: float = 1.0e-4
     friction_floor: float = 0.05
-    newton_iterations_max: int = 30
-    halvings_max: int = 12
+    newton_iterations_max: int = 30  # a step that needs more is halved
+    # A step whose time discretisation moves the vertices by more than this (root of the mean
+    # square) is halved, up to three times.
     step_error_m: float = np.inf
+    # The end of the step whose curvature the stiffness of a hinge follows; rising: the end while
+    # the moment grows with curvature; where it would fall within the step it is held.
     bending_stiffness_at: Literal["start", "end", "rising"] = "end"
-    damping_s: float = 0.002
+    damping_s: float = 0.002  # stiffness-proportional
+    # Depth to which the cloth's weight presses the floor where it lies evenly; also its elastic
+    # microslip there at friction coefficient 1. Likewise for one pair of touching parts of cloth.
     penetration_m: float = 5.0e-7
-    self_contact: bool = False
-    thickness_m: float = 1.0e-3
     layer_penetration_m: float = 5.0e-6
-    layer_friction: float | None = None
-    device: str = "cpu"
+    self_contact: bool = False  # whether layers touch one another, rather than pass through
+    thickness_m: float = 1.0e-3  # distance between the middle surfaces of touching layers
+    layer_friction: float | None = None  # between layers; None: that of the floor
+    device: str = "cpu"  # of Warp, on which forces and stiffness are evaluated
 
     @classmethod
     def of(cls, settings: object) -> SolverSettings:
@@ -133,14 +108,9 @@ class StepRecord:
 
     def add(self, other: StepRecord) -> None:
         """Add another record to this one."""
-        self.steps += other.steps
-        self.newton_iterations += other.newton_iterations
-        self.factorisations += other.factorisations
-        self.halvings += other.halvings
-        self.refinements += other.refinements
-        self.solves += other.solves
-        self.largest_residual = max(self.largest_residual, other.largest_residual)
-        self.touching_pairs = max(self.touching_pairs, other.touching_pairs)
+        for one in fields(self):
+            together = max if one.name in ("largest_residual", "touching_pairs") else add
+            setattr(self, one.name, together(getattr(self, one.name), getattr(other, one.name)))
 
 
 class ClothSolver:
@@ -464,11 +434,7 @@ class ClothSolver:
     def _solve_apart(self, guess: np.ndarray) -> tuple[np.ndarray, float]:
         """Solve the step so that no part of the cloth passes through another on the way.
 
-        Returns
-        -------
-        x : ndarray, shape (V, 3)
-        error : float
-            Relative residual; infinite if parts would pass through.
+        Returns x (V, 3) and the relative residual, which is infinite if parts would pass through.
         """
         tolerance = self.settings.friction_tolerance
         layers = self._layers
@@ -530,11 +496,8 @@ class ClothSolver:
     def start(self, preload_N: np.ndarray | float = 0.0) -> None:
         """Take the present positions as the beginning of the motion (strains, anchors).
 
-        Parameters
-        ----------
-        preload_N : ndarray, shape (V, 2), or 0
-            Tangential force that the floor's friction bears at the beginning, as the force of
-            the cloth on the floor: what it bears after a slow tilt, say.
+        ``preload_N`` (V, 2) is the tangential force of the cloth on the floor that friction bears
+        at the beginning: after a slow tilt, say.
         """
         place, _ = contact.ground_coordinates(self.positions_m, self.ground_curvature_per_m)
         anchor = place[:, :2] - preload_N / self.contact_stiffness_N_m[:, None]
@@ -557,18 +520,9 @@ class ClothSolver:
         prescribed: Callable[[float], np.ndarray] | None = None,
         halvings: int = 0,
     ) -> None:
-        """Move on by one step, halved as often as it takes to converge.
+        """Move on by one step, halved as often as it takes to converge, or NotConverged.
 
-        Parameters
-        ----------
-        duration_s : float
-        prescribed : callable
-            Positions (V, 3) at a time; only the fixed coordinates are read.
-
-        Raises
-        ------
-        NotConverged
-            The step did not converge after the allowed number of halvings.
+        ``prescribed`` gives positions (V, 3) at a time, of which the fixed coordinates are read.
         """
         if duration_s > 1.01 * self._accurate_step_s and halvings < REFINEMENTS_MAX:
             self._halve(duration_s, prescribed, halvings)
@@ -577,10 +531,7 @@ class ClothSolver:
         if outcome is Outcome.ACCEPTED:
             return
         self._count_failure(outcome)
-        if outcome is Outcome.INACCURATE:
-            self._halve(duration_s, prescribed, halvings)
-            return
-        if halvings >= self.settings.halvings_max:
+        if outcome is Outcome.UNSOLVED and halvings >= HALVINGS_MAX:
             raise NotConverged(
                 f"at {self.time_s:.4f} s a step of {duration_s:.2e} s did not converge to "
                 f"{self.settings.friction_tolerance:g} in {self.settings.newton_iterations_max} "
@@ -600,18 +551,7 @@ class ClothSolver:
     def try_step(
         self, duration_s: float, prescribed: Callable[[float], np.ndarray] | None = None
     ) -> bool:
-        """Move on by one step if it is accurate and converges; otherwise stay.
-
-        Parameters
-        ----------
-        duration_s, prescribed
-            As for :meth:`advance`.
-
-        Returns
-        -------
-        bool
-            Whether it moved.
-        """
+        """Move on by one step as :meth:`advance` if it is accurate and converges; did it move?"""
         outcome = self._try_step(duration_s, prescribed, may_refine=True)
         self._count_failure(outcome)
         return outcome is Outcome.ACCEPTED

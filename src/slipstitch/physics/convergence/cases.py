@@ -1,12 +1,23 @@
-"""The runs of the study; separate from the rest, which takes seconds to import."""
+"""The runs of the study. Imports little: rules of the workflow list them."""
+
+from __future__ import annotations
 
 import math
+import os
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import provenance_record, start_clock
 from slipstitch.config import Config
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.design.grid import friction_id, material_id
 
+if TYPE_CHECKING:
+    from slipstitch.physics.simulation.trajectory import Trajectory
+
+HALVINGS = 2  # of the time step, in the runs with finer steps
+SEED = 0  # of the perturbation of the bench, the same for all runs
 FRAME_RATE_HZ = 12.0  # of the comparisons: a fold that rolls over takes some tenths of a second
 
 
@@ -30,8 +41,7 @@ def cases(config: Config) -> list[StudyCase]:
     """The runs of the study, those at the chosen settings first."""
     study = config.convergence
     sides = study.vertices_per_side
-    refinements = [(sides[0], h) for h in dict.fromkeys((0, study.halvings))]
-    refinements += [(side, 0) for side in sides[1:]]
+    refinements = [(sides[0], 0), (sides[0], HALVINGS), *((side, 0) for side in sides[1:])]
     return [
         StudyCase(
             f"{material_id(material)}_{friction_id(friction)}_n{side}_h{halvings}",
@@ -73,3 +83,47 @@ def case_settings(
             "frames": math.floor(study.window_s * FRAME_RATE_HZ + 1e-9) + 1,
         }
     )
+
+
+def simulate_case(
+    config: Config, name: str, out: str | os.PathLike, calibration: str | os.PathLike | None
+) -> tuple[Trajectory, float]:
+    """Simulate one case and write it; the run, and its CPU time in s.
+
+    Parameters
+    ----------
+    config : Config
+    name : str
+        The case's id.
+    out : path
+        Parquet file, one row per frame.
+    calibration : path, optional
+        The file that settings were taken from, for the record.
+
+    Raises
+    ------
+    BadInput
+        If the study has no such case.
+    NotConverged
+        If it cannot be solved.
+    """
+    from slipstitch.physics.simulation.drop_and_drag import DropAndDrag, simulate_drop_and_drag
+    from slipstitch.physics.simulation.trajectory import write_trajectory
+
+    started = start_clock()
+    case = {case.id: case for case in cases(config)}.get(name)
+    if case is None:
+        raise BadInput(f"the study has no case {name!r}; its ids look like {cases(config)[0].id}")
+    settings = case_settings(case, config, config.simulation)
+    run = DropAndDrag(case.material, case.friction, SEED)
+    trajectory, columns = simulate_drop_and_drag(run, settings)
+    trajectory.metadata["case"] = case.id
+    record = provenance_record(
+        "convergence",
+        inputs=[calibration] if calibration else [],
+        config={"simulation": settings},
+        seed=SEED,
+        started=started,
+    )
+    write_trajectory(out, trajectory, record, **columns)
+    return trajectory, record["cpu_s"]

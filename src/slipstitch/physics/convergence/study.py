@@ -52,7 +52,7 @@ def common_vertices(side: int, sides: tuple[int, ...]) -> np.ndarray:
     return (line[:, None] * side + line).ravel()
 
 
-def events(run: Trajectory, path: StagePath | None = None) -> dict[str, float | None]:
+def events(run: Trajectory) -> dict[str, float | None]:
     """Times of the fast events, in s; None for one that does not happen.
 
     Returns
@@ -66,7 +66,7 @@ def events(run: Trajectory, path: StagePath | None = None) -> dict[str, float | 
     """
     time_s = run.time_s
     found: dict[str, float | None] = {"landing": _first(time_s, 1e-3 - _lower_edge_m(run)[:, 2])}
-    for number, part in _strokes(run, path):
+    for number, part in _strokes(run):
         found[f"slip{number}"], found[f"flip{number}"] = None, None
         if len(time_s[part]) < 2:
             continue
@@ -81,9 +81,9 @@ def events(run: Trajectory, path: StagePath | None = None) -> dict[str, float | 
     return found
 
 
-def _strokes(run: Trajectory, path: StagePath | None = None) -> Iterator[tuple[str, slice]]:
+def _strokes(run: Trajectory) -> Iterator[tuple[str, slice]]:
     """What names the events of each stroke that was begun, and its frames."""
-    path = path or StagePath(**run.metadata["settings"].get("stage", {}))
+    path = StagePath(**run.metadata["settings"].get("stage", {}))
     for stroke in range(max(path.strokes, 1)):
         begin_s = path.drop_duration_s + stroke * path.stroke_duration_s
         begun, over = np.searchsorted(run.time_s, [begin_s, begin_s + path.stroke_duration_s])
@@ -172,8 +172,10 @@ def compare(run: Trajectory, finest: Trajectory, sides: tuple[int, ...]) -> dict
     first, second = (_places(trajectory, sides) for trajectory in (run, finest))
     distance = np.linalg.norm(first - second, axis=2)
     mean, worst = distance.mean(axis=1), distance.max(axis=1)
-    few, others = _fewer(first, second)
-    shifted, shift_s, bend = _least_mean_distance(few, others, run.time_s)
+    side = math.isqrt(first.shape[1])
+    line = np.arange(0, side, -(-(side - 1) // (SHIFTED_PLACES - 1)))
+    few = (line[:, None] * side + line).ravel()
+    shifted, shift_s, bend = _least_mean_distance(first[:, few], second[:, few], run.time_s)
     shifted = np.minimum(shifted, mean)
     there, reference, slips = events(run), events(finest), _slip_shifts(run, finest)
     steady = _is_steady(first, run.time_s) & _is_steady(second, run.time_s)
@@ -191,11 +193,13 @@ def compare(run: Trajectory, finest: Trajectory, sides: tuple[int, ...]) -> dict
         "events": {
             name: {
                 "time_s": time_s,
-                "finest_s": reference.get(name),
-                "shift_s": slips.get(name, _shift(time_s, other)),
+                "finest_s": reference[name],
+                "shift_s": slips.get(
+                    name, None if None in (time_s, reference[name]) else time_s - reference[name]
+                ),
             }
             for name, time_s in there.items()
-            if (other := reference.get(name)) is not None or time_s is not None
+            if time_s is not None or reference[name] is not None
         },
         "curve": {name: np.round(values[::every], 6).tolist() for name, values in curve.items()},
     }
@@ -217,14 +221,6 @@ def _is_steady(places_m: np.ndarray, time_s: np.ndarray) -> np.ndarray:
     fast = np.append(moved_m / np.diff(time_s) > STEADY_SPEED_M_S, False)
     reach = round(STEADY_S / (time_s[1] - time_s[0]))
     return ~maximum_filter1d(fast, 2 * reach + 1)
-
-
-def _fewer(*places: np.ndarray) -> list[np.ndarray]:
-    """At most some 21 x 21 of the places."""
-    side = math.isqrt(places[0].shape[1])
-    line = np.arange(0, side, -(-(side - 1) // (SHIFTED_PLACES - 1)))
-    chosen = (line[:, None] * side + line).ravel()
-    return [one[:, chosen] for one in places]
 
 
 def _least_mean_distance(first, second, time_s) -> tuple[np.ndarray, ...]:
@@ -263,10 +259,6 @@ def _for_good(time_s: np.ndarray, value: np.ndarray) -> float | None:
     not_yet = np.flatnonzero(value <= 0)
     begun = int(not_yet[-1]) if len(not_yet) else 0
     return _first(time_s[begun:], value[begun:])
-
-
-def _shift(time_s: float | None, finest_s: float | None) -> float | None:
-    return None if time_s is None or finest_s is None else time_s - finest_s
 
 
 def comparisons(config: Config, runs: Mapping[str, Trajectory]) -> list[dict[str, Any]]:

@@ -12,17 +12,17 @@ from scipy.optimize import brentq
 
 from slipstitch.base.errors import BadInput
 from slipstitch.config.simulation import SimulationSettings
+from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.cloth import ClothSolver, rectangle
-from slipstitch.physics.experiments.demand import Demand
 from slipstitch.physics.experiments.specimen import (
     AREAL_DENSITY_KG_M2,
+    Demand,
     bring_to_rest,
     held,
     require,
     solver_settings,
 )
 from slipstitch.physics.fabric import isotropic_tables
-from slipstitch.physics.gravity import GRAVITY_M_S2
 
 LENGTH_M = 0.20
 ROWS = 81
@@ -48,38 +48,24 @@ class HeavyCantilever:
         Sag of the tip over its horizontal distance from the clamp.
     tip_angle_rad : float
         Angle of the tip below the horizontal (rad).
-    curve : ndarray, shape (n, 2)
-        Points from the clamp to the tip: horizontal distance and height over the length
-        (heights ≤ 0).
     """
 
     gamma: float
     height_over_width: float
     tip_angle_rad: float
-    curve: np.ndarray
-
-    @property
-    def chord_angle_rad(self) -> float:
-        """Angle of the straight line from clamp to tip below the horizontal (rad)."""
-        return math.atan(self.height_over_width)
 
 
-def _from_the_tip(plumb_deficit: float, stations: int | None = None):
+def _from_the_tip(parameter: float) -> HeavyCantilever:
     """Integrate from the free end, where two of the three unknowns are known.
 
     With lengths in units of (B/ρg)^(1/3) and δ = π/2 − θ, the equation is δ'' = s sin δ from
     δ(0) = δ₀, δ'(0) = 0; the clamp is where δ first reaches π/2. Every δ₀ is the tip of one strip
-    and Γ is the cube of its length, so that no other branch can be met by mistake.
-
-    Returns
-    -------
-    length : float
-        Distance from the tip to the clamp.
-    states : ndarray, shape (4, n)
-        δ, δ', horizontal and vertical distance from the tip, at the clamp or at n stations.
+    and Γ is the cube of its length, so that no other branch can be met by mistake. δ₀ falls to 0
+    as the parameter, and Γ with it, grows without bound.
     """
+    tip_deficit = 0.5 * math.pi / (1.0 + math.exp(parameter))
 
-    def slope(s, state):
+    def slope(s, state):  # of δ, δ', and horizontal and vertical distance from the tip
         deficit, curvature = state[0], state[1]
         sine = math.sin(deficit)
         return (curvature, s * sine, sine, math.cos(deficit))
@@ -91,31 +77,16 @@ def _from_the_tip(plumb_deficit: float, stations: int | None = None):
     solution = solve_ivp(
         slope,
         (0.0, 50.0),
-        (plumb_deficit, 0.0, 0.0, 0.0),
+        (tip_deficit, 0.0, 0.0, 0.0),
         method="DOP853",
         events=clamp,
         rtol=1e-11,
         atol=1e-60,
-        dense_output=stations is not None,
     )
-    length = solution.t_events[0][0]
-    if stations is None:
-        return length, solution.y_events[0].T
-    return length, solution.sol(np.linspace(0.0, length, stations))
-
-
-def _plumb_deficit(parameter: float) -> float:
-    """π/2 minus the tip's angle, for a parameter that grows with Γ without bound."""
-    return 0.5 * math.pi / (1.0 + math.exp(parameter))
-
-
-def _shape(parameter: float) -> HeavyCantilever:
-    deficit = _plumb_deficit(parameter)
-    length, states = _from_the_tip(deficit, 201)
-    across, down = states[2] / length, states[3] / length
-    curve = np.column_stack((across[-1] - across, down - down[-1]))[::-1]
-    ratio = float(down[-1] / across[-1])
-    return HeavyCantilever(length**3, ratio, 0.5 * math.pi - deficit, curve)
+    across, down = solution.y_events[0][0, 2:]
+    return HeavyCantilever(
+        solution.t_events[0][0] ** 3, float(down / across), 0.5 * math.pi - tip_deficit
+    )
 
 
 def heavy_cantilever(gamma: float) -> HeavyCantilever:
@@ -128,40 +99,10 @@ def heavy_cantilever(gamma: float) -> HeavyCantilever:
     ----------
     gamma : float
         Γ = ρ g L³ / B, dimensionless, 10⁻³ ≤ Γ ≤ 10⁴.
-
-    Returns
-    -------
-    HeavyCantilever
-        Height over width, tip angle (rad) and the shape.
     """
     gamma = require("gamma", gamma, *THEORY_GAMMAS)
-    parameter = brentq(
-        lambda x: math.log(_from_the_tip(_plumb_deficit(x))[0] ** 3 / gamma),
-        *_PARAMETERS,
-        xtol=1e-12,
-    )
-    return _shape(parameter)
-
-
-def cantilever_rule_gamma(chord_angle_rad: float = math.radians(41.5)) -> float:
-    """Γ at which the chord of a heavy cantilever has a given angle.
-
-    The textile bending test (Peirce 1930; ASTM D1388) feeds a strip over an edge until its chord
-    stands at 41.5°, and takes B = ρ g (L/2)³, that is Γ = 8.
-
-    Parameters
-    ----------
-    chord_angle_rad : float
-        Angle of the chord below the horizontal (rad), 0.001 ≤ angle ≤ 1.5.
-
-    Returns
-    -------
-    float
-        Γ, dimensionless.
-    """
-    angle = require("chord_angle_rad", chord_angle_rad, 1e-3, 1.5)
-    parameter = brentq(lambda x: _shape(x).chord_angle_rad - angle, *_PARAMETERS, xtol=1e-12)
-    return _shape(parameter).gamma
+    parameter = brentq(lambda x: math.log(_from_the_tip(x).gamma / gamma), *_PARAMETERS, xtol=1e-12)
+    return _from_the_tip(parameter)
 
 
 def cantilever(settings: SimulationSettings, gamma: float) -> dict[str, Any]:
@@ -186,8 +127,10 @@ def cantilever(settings: SimulationSettings, gamma: float) -> dict[str, Any]:
             f"protocol cantilever: gamma {gamma:g}: must be between {GAMMA_RANGE[0]:g} "
             f"and {GAMMA_RANGE[1]:g}"
         )
-    ratio = hinge_stiffness_over_rigidity(settings)
-    across_m, down_m = sag(settings, gamma, ratio)
+    guess = 4.0
+    _, down_m = _sag(settings, SMALL_GAMMA, guess)
+    ratio = guess * (8 * down_m / LENGTH_M) / SMALL_GAMMA
+    across_m, down_m = _sag(settings, gamma, ratio)
     return {
         "height_over_width": down_m / across_m,
         "theory_height_over_width": heavy_cantilever(gamma).height_over_width,
@@ -195,14 +138,7 @@ def cantilever(settings: SimulationSettings, gamma: float) -> dict[str, Any]:
     }
 
 
-def hinge_stiffness_over_rigidity(settings: SimulationSettings) -> float:
-    """ke/B of this mesh in small bending."""
-    guess = 4.0
-    _, down_m = sag(settings, SMALL_GAMMA, guess)
-    return guess * (8 * down_m / LENGTH_M) / SMALL_GAMMA
-
-
-def sag(
+def _sag(
     settings: SimulationSettings, gamma: float, stiffness_over_rigidity: float
 ) -> tuple[float, float]:
     """Horizontal and vertical distance of the tip from the clamp, at rest, in m."""

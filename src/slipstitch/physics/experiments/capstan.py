@@ -13,8 +13,8 @@ import numpy as np
 from slipstitch.base.errors import BadInput, NotConverged
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics.cloth import ClothSolver, Conditions, rectangle
-from slipstitch.physics.experiments.demand import Demand
 from slipstitch.physics.experiments.specimen import (
+    Demand,
     cylindrical_strip_tables,
     held,
     require,

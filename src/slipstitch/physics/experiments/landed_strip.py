@@ -5,7 +5,7 @@ The side to which it buckles is set by a slight natural curl.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -15,17 +15,21 @@ from scipy.optimize import brentq
 
 from slipstitch.base.errors import BadInput, NotConverged
 from slipstitch.config.simulation import SimulationSettings
+from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.cloth import ClothSolver, Conditions, rectangle
-from slipstitch.physics.experiments.demand import Demand
 from slipstitch.physics.experiments.specimen import (
     AREAL_DENSITY_KG_M2,
+    Demand,
     cylindrical_strip_tables,
     held,
     require,
     solver_settings,
 )
-from slipstitch.physics.experiments.strip import FLAT_FOOT_RAD, strip_state_at_foot_angle
-from slipstitch.physics.gravity import GRAVITY_M_S2
+from slipstitch.physics.experiments.strip import (
+    FLAT_FOOT_RAD,
+    StripState,
+    strip_state_at_foot_angle,
+)
 
 LENGTH_M = 0.20
 THICKNESS_M = 5.0e-4
@@ -44,31 +48,6 @@ SMALLEST_FOOT_ANGLE_RAD = 0.02
 # Weights by which the strip with weight is reached from the one without.
 _LADDER = np.geomspace(1.0, 5.0e3, 23)
 _STATIONS = np.linspace(0.0, 1.0, 201)
-
-
-@dataclass(frozen=True)
-class LandedStrip:
-    """One equilibrium of a lowered heavy strip, in units of its length and rigidity.
-
-    Attributes
-    ----------
-    strain : float
-        Descent since the foot touched, over the strip's length.
-    foot_angle_rad : float
-        Between the foot's tangent and the vertical (rad); π/2 where it lies flat.
-    vertical_load, horizontal_load : float
-        P L²/B and |Q| L²/B, what the foot presses and rubs the floor with.
-    """
-
-    strain: float
-    foot_angle_rad: float
-    vertical_load: float
-    horizontal_load: float
-
-    @property
-    def load_ratio(self) -> float:
-        """|Q|/P: the friction coefficient at which this state slips."""
-        return self.horizontal_load / self.vertical_load
 
 
 def _solve(gamma: float, foot_angle: float, guess):
@@ -114,14 +93,13 @@ def _flat_foot(gamma: float):
     return _solve(gamma, FLAT_FOOT_RAD, guess)
 
 
-def _state(gamma: float, foot_angle: float, solved) -> LandedStrip:
+def _state(foot_angle: float, solved) -> StripState:
     _, states, loads = solved
-    return LandedStrip(
-        float(1.0 - states[3, -1]), foot_angle, float(loads[0]), float(abs(loads[1]))
-    )
+    strain, (vertical, horizontal) = float(1.0 - states[3, -1]), loads
+    return StripState(strain, foot_angle, float(vertical), float(abs(horizontal)), states[2:].T)
 
 
-def landed_strip_theory(gamma: float) -> LandedStrip:
+def landed_strip_theory(gamma: float) -> StripState:
     """State at which the foot of a lowered heavy strip comes to lie flat.
 
     A strip hangs from a clamp, straight down, and is lowered on a floor. Its foot, held by
@@ -140,11 +118,11 @@ def landed_strip_theory(gamma: float) -> LandedStrip:
 
     Returns
     -------
-    LandedStrip
+    StripState
         ``load_ratio`` is the friction coefficient that parts slipping from folding.
     """
     gamma = require("gamma", gamma, 0.0, LARGEST_GAMMA)
-    return _state(gamma, FLAT_FOOT_RAD, _flat_foot(gamma))
+    return _state(FLAT_FOOT_RAD, _flat_foot(gamma))
 
 
 def landed_strip_slip_strain(friction: float, gamma: float) -> float | None:
@@ -168,12 +146,12 @@ def landed_strip_slip_strain(friction: float, gamma: float) -> float | None:
         return None
     solved = {FLAT_FOOT_RAD: _flat_foot(float(gamma))}
 
-    def at(angle: float) -> LandedStrip:
+    def at(angle: float) -> StripState:
         nearest = min(solved, key=lambda known: abs(known - angle))
         for step in np.linspace(nearest, angle, 2 + int(abs(nearest - angle) / 0.15))[1:]:
             solved[float(step)] = _solve(float(gamma), float(step), solved[nearest])
             nearest = float(step)
-        return _state(gamma, nearest, solved[nearest])
+        return _state(nearest, solved[nearest])
 
     angle = brentq(
         lambda angle: at(angle).load_ratio - friction,

@@ -14,17 +14,17 @@ from typing import Any
 import numpy as np
 
 from slipstitch.config.simulation import SimulationSettings
+from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.cloth import ClothSolver, Conditions, rectangle
-from slipstitch.physics.experiments.demand import Demand
 from slipstitch.physics.experiments.specimen import (
     AREAL_DENSITY_KG_M2,
+    Demand,
     bring_to_rest,
     held,
     require,
     solver_settings,
 )
 from slipstitch.physics.fabric import isotropic_tables
-from slipstitch.physics.gravity import GRAVITY_M_S2
 
 LENGTH_M = 0.20
 COLUMNS = 5
@@ -42,39 +42,12 @@ NARROW_STRIP = 12.853718
 DEMANDS = (Demand("critical_gamma", 0.05),)
 
 
-def lateral_buckling_theory(width_over_length: float, poisson_ratio: float) -> float:
+def lateral_buckling_theory(bending: float, torsion: float) -> float:
     """Critical weight of a strip clamped at one end, its plane vertical, that sags sideways.
 
     A beam under its own weight q per length buckles sideways at q L³ = 12.854 √(EI · GJ)
-    (Prandtl 1899; Timoshenko & Gere 1961, sec. 6.3). For a thin strip of width b and plate rigidity
-    D, EI = (1 − ν²) D b and GJ = 2 (1 − ν) D b, hence with Γ = ρ g L³ / D (areal density ρ)
-
-        Γ* = 12.854 √2 (1 − ν) √(1 + ν),
-
-    independent of the width as long as the strip is narrow.
-
-    Parameters
-    ----------
-    width_over_length : float
-        Width over free length, in (0, 0.5]. Only checked: above, the strip is a plate, and the
-        clamp's hindrance of warping raises Γ* appreciably well before that.
-    poisson_ratio : float
-        Poisson ratio ν of the sheet, −1 < ν < 1.
-
-    Returns
-    -------
-    float
-        Γ*, dimensionless.
-    """
-    require("width_over_length", width_over_length, 1e-9, 0.5)
-    ratio = require("poisson_ratio", poisson_ratio, -1.0 + 1e-9, 1.0 - 1e-9)
-    return lateral_buckling_of_beam(1.0 - ratio**2, 2.0 * (1.0 - ratio))
-
-
-def lateral_buckling_of_beam(bending: float, torsion: float) -> float:
-    """Critical weight of the same strip from its rigidities, whatever it is made of.
-
-    q L³ = 12.854 √(EI · GJ), q the weight per length (Prandtl 1899).
+    (Prandtl 1899; Timoshenko & Gere 1961, sec. 6.3). For a thin isotropic strip of width b and
+    plate rigidity D, EI = (1 − ν²) D b and GJ = 2 (1 − ν) D b.
 
     Parameters
     ----------
@@ -84,7 +57,7 @@ def lateral_buckling_of_beam(bending: float, torsion: float) -> float:
     Returns
     -------
     float
-        Γ* = ρ g L³ / D, dimensionless.
+        Γ* = ρ g L³ / D, dimensionless (areal density ρ).
     """
     return NARROW_STRIP * sqrt(bending * torsion)
 
@@ -111,7 +84,7 @@ def lateral_buckling(settings: SimulationSettings, width_over_length: float) -> 
     solver = _strip(settings, width_over_length, held_ends=1)
     bending = SMALL_GAMMA * LENGTH_M / (8 * _sideways_m(solver, SMALL_GAMMA, 1.0, 0.0))
     torsion = _torsion(settings, width_over_length)
-    expected = lateral_buckling_of_beam(bending, torsion)
+    expected = lateral_buckling_theory(bending, torsion)
     # The other modes' share of the bending fades as the weight comes near: refined once.
     critical = _southwell(solver, _southwell(solver, expected, FAR), NEAR)
     return {

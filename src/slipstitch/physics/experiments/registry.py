@@ -15,15 +15,13 @@ from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics.experiments import (
     cantilever,
     capstan,
-    flat_drag,
-    incline,
     landed_strip,
     lateral_buckling,
+    plane,
     strip,
     strip_drag,
-    tilt,
 )
-from slipstitch.physics.experiments.demand import Demand, verdict
+from slipstitch.physics.experiments.specimen import Demand
 
 
 @dataclass(frozen=True)
@@ -34,11 +32,18 @@ class KnownAnswer:
     demands: tuple[Demand, ...]
     options: Mapping[str, float | None]
 
+    def verdict(self, result: Mapping[str, Any]) -> dict[str, Any]:
+        """``passed``, and ``demands``: the verdict on each (`Demand.verdict`), by key."""
+        rows = {demand.key: demand.verdict(result) for demand in self.demands}
+        return {"passed": all(row["met"] for row in rows.values()), "demands": rows}
+
 
 PROTOCOLS: dict[str, KnownAnswer] = {
-    "incline": KnownAnswer(incline.incline, incline.DEMANDS, {"friction": None, "slope_deg": None}),
-    "tilt": KnownAnswer(tilt.tilt, tilt.DEMANDS, {"friction": None, "static_kinetic": 0.0}),
-    "flat-drag": KnownAnswer(flat_drag.flat_drag, flat_drag.DEMANDS, {"friction": None}),
+    "incline": KnownAnswer(
+        plane.incline, plane.INCLINE_DEMANDS, {"friction": None, "slope_deg": None}
+    ),
+    "tilt": KnownAnswer(plane.tilt, plane.TILT_DEMANDS, {"friction": None, "static_kinetic": 0.0}),
+    "flat-drag": KnownAnswer(plane.flat_drag, plane.FLAT_DRAG_DEMANDS, {"friction": None}),
     "strip-drag": KnownAnswer(
         strip_drag.strip_drag, strip_drag.DEMANDS, {"friction": None, "gravity_length_m": 0.02}
     ),
@@ -112,7 +117,7 @@ def run_protocol_to_file(
     """
     started = start_clock()
     result = run_protocol(name, options, settings)
-    result |= verdict(PROTOCOLS[name].demands, result)
+    result |= PROTOCOLS[name].verdict(result)
     config = {"options": dict(options), "simulation": settings}
     record = provenance_record("protocol", config=config, started=started)
     write_json(out, result, record, allow_nan=True)

@@ -1,8 +1,8 @@
-"""The isotropic cloth of the known-answer experiments: how it hangs, rests, and is solved."""
+"""Common parts of the known-answer experiments: the isotropic cloth, its supports, the demands."""
 
 import math
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -11,14 +11,62 @@ from slipstitch.base.errors import BadInput, NotConverged
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics.cloth import ClothMesh, ClothSolver, SolverSettings
 from slipstitch.physics.fabric import ElasticTables, isotropic_tables
-from slipstitch.physics.gravity import GRAVITY_M_S2
 
 AREAL_DENSITY_KG_M2 = 0.2
 MEMBRANE_STIFFNESS_N_M = 200.0
-HINGE_STIFFNESS_N_M = 5.0e-5
 DIAGONALS_OVER_EDGES = 1000.0
 REST_M = 1.0e-7  # largest movement in a step that counts as rest
 STEPS_MAX = 400  # until it rests
+
+
+@dataclass(frozen=True)
+class Demand:
+    """The largest error of one measured value.
+
+    Attributes
+    ----------
+    key : str
+        Of the result. Words must be equal.
+    allowed : float
+        Largest error, of theory's value if `relative`, else in the value's unit.
+    relative : bool
+    zero : float
+        What counts as 0 where theory says 0.
+    theory : float or None
+        None: what the result has under ``theory_<key>``.
+    """
+
+    key: str
+    allowed: float = 0.0
+    relative: bool = True
+    zero: float = 0.0
+    theory: float | None = None
+
+    def expected(self, result: Mapping[str, Any]) -> Any:
+        """Theory's value."""
+        return result[f"theory_{self.key}"] if self.theory is None else self.theory
+
+    def error(self, result: Mapping[str, Any]) -> float:
+        """The error of a result; infinite where one of the two values is no number."""
+        measured, expected = result[self.key], self.expected(result)
+        if measured is None or expected is None or isinstance(expected, str):
+            return 0.0 if measured == expected else math.inf
+        off = abs(measured - expected)
+        if math.isnan(off):
+            return math.inf
+        if not self.relative or off <= self.zero:
+            return off
+        return off / abs(expected) if expected else math.inf
+
+    def verdict(self, result: Mapping[str, Any]) -> dict[str, Any]:
+        """The error (None: not to be compared), what is allowed, and whether it is met."""
+        error = self.error(result)
+        return {
+            "error": None if math.isinf(error) else error,
+            "allowed": self.allowed,
+            "relative": self.relative,
+            "met": error <= max(self.allowed, self.zero),
+        }
 
 
 def require(name: str, value: float, lowest: float, highest: float = math.inf) -> float:
@@ -35,18 +83,6 @@ def require(name: str, value: float, lowest: float, highest: float = math.inf) -
         upper = "" if math.isinf(highest) else f" and at most {highest:g}"
         raise BadInput(f"{name} must be at least {lowest:g}{upper}, not {value:g}")
     return float(value)
-
-
-def square_tables() -> ElasticTables:
-    """Tables of the square of cloth that slides on a plane."""
-    return isotropic_tables(AREAL_DENSITY_KG_M2, MEMBRANE_STIFFNESS_N_M, HINGE_STIFFNESS_N_M)
-
-
-def rest_on_the_floor(solver: ClothSolver, weight: float = 1.0) -> None:
-    """Lay flat cloth as deep into the floor as a multiple of its weight presses it there."""
-    solver.positions_m[:, 2] = (
-        -solver.mass_kg * GRAVITY_M_S2 * weight / solver.contact_stiffness_N_m
-    )
 
 
 def held(mesh: ClothMesh, rows: int, cylindrical: bool = True) -> np.ndarray:

@@ -18,16 +18,16 @@ from scipy.optimize import brentq, root
 
 from slipstitch.base.errors import BadInput, NotConverged
 from slipstitch.config.simulation import SimulationSettings
+from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.cloth import ClothSolver, Conditions, rectangle
-from slipstitch.physics.experiments.demand import Demand
 from slipstitch.physics.experiments.specimen import (
     AREAL_DENSITY_KG_M2,
+    Demand,
     cylindrical_strip_tables,
     held,
     require,
     solver_settings,
 )
-from slipstitch.physics.gravity import GRAVITY_M_S2
 
 LENGTH_M = 0.20
 THICKNESS_M = 1.0e-3
@@ -133,6 +133,7 @@ def _branch() -> tuple[np.ndarray, np.ndarray]:
     return angles, np.array(states)
 
 
+@lru_cache(maxsize=256)
 def strip_state_at_foot_angle(foot_angle_rad: float) -> StripState:
     """Equilibrium of the strip whose foot is tilted by a given angle.
 
@@ -150,15 +151,14 @@ def strip_state_at_foot_angle(foot_angle_rad: float) -> StripState:
     guess = np.array([np.interp(angle, angles, column) for column in states.T])
     if angle < angles[0]:
         guess = states[0] * (angle / angles[0], 1.0, angle / angles[0])
-    unknowns = _solve(angle, guess)
-    curvature, vertical, horizontal = unknowns
+    curvature, vertical, horizontal = _solve(angle, guess)
     solution = _integrate(curvature, vertical, horizontal, np.linspace(0.0, 1.0, 201))
     curve = solution.y[2:].T
     return StripState(
         strain=float(1.0 - curve[-1, 1]),
         foot_angle_rad=angle,
-        vertical_load=float(unknowns[1]),
-        horizontal_load=float(abs(unknowns[2])),
+        vertical_load=float(vertical),
+        horizontal_load=float(abs(horizontal)),
         curve=curve,
     )
 
@@ -192,6 +192,7 @@ def strip_state(strain: float) -> StripState:
     return _at(lambda state: state.strain, strain)
 
 
+@lru_cache(maxsize=64)
 def strip_slip_strain(friction: float) -> float | None:
     """Strain at which the foot of a pushed strip slips.
 
@@ -211,40 +212,6 @@ def strip_slip_strain(friction: float) -> float | None:
     if friction > strip_state_at_foot_angle(FLAT_FOOT_RAD).load_ratio:
         return None
     return _at(lambda state: state.load_ratio, friction).strain
-
-
-@dataclass
-class StripPush:
-    """One push, step by step.
-
-    Attributes
-    ----------
-    strain, load_ratio : list of float
-        Descent of the clamp over the length, and |Q|/P, at the end of each step.
-    slip_strain : float or None
-        Strain at which the foot slipped: |Q|/P extrapolated to the friction coefficient, within
-        the step in which the foot moved.
-    flat_strain : float or None
-        Strain in the middle of the step in which the foot came to lie flat.
-    shape_m : ndarray, shape (n, 2)
-        Sideways and downwards from the clamp, at the last step before slipping or lying flat,
-        at ``shape_strain``.
-    """
-
-    strain: list[float]
-    load_ratio: list[float]
-    slip_strain: float | None
-    flat_strain: float | None
-    shape_m: np.ndarray
-    shape_strain: float
-    newton_iterations: int = 0
-
-    @property
-    def regime(self) -> str:
-        """``slipped``, ``partially slipped`` (flat before it slipped), or ``pinned``."""
-        if self.flat_strain is not None:
-            return "partially slipped"
-        return "pinned" if self.slip_strain is None else "slipped"
 
 
 def strip(
@@ -268,25 +235,21 @@ def strip(
         ``flat_strain``; and what pictures need: ``strain`` and ``load_ratio`` of each step,
         ``shape_m`` at ``shape_strain``, ``newton_iterations``.
     """
-    push = push_strip(settings, friction, int(vertices), gamma, strain)
-    slips_at = strip_slip_strain(friction)
+    push = _push(settings, friction, int(vertices), gamma, strain)
+    slip_strain = push["slip_strain"]
     read = None
-    if push.slip_strain is not None and push.slip_strain >= 1e-6:
+    if slip_strain is not None and slip_strain >= 1e-6:
         lies_flat = strip_state_at_foot_angle(FLAT_FOOT_RAD)
-        read = strip_state(min(push.slip_strain, lies_flat.strain)).load_ratio
+        read = strip_state(min(slip_strain, lies_flat.strain)).load_ratio
+    regime = "slipped" if slip_strain is not None else "pinned"
     return {
-        "slip_strain": push.slip_strain,
-        "regime": push.regime,
-        "friction_at_slip": None if push.slip_strain is None else push.load_ratio[-1],
+        "slip_strain": slip_strain,
+        "regime": regime if push["flat_strain"] is None else "partially slipped",
+        "friction_at_slip": None if slip_strain is None else push["load_ratio"][-1],
         "friction_read_from_strain": read,
-        "theory_slip_strain": slips_at,
+        "theory_slip_strain": strip_slip_strain(friction),
         "theory_regime": theory_regime(friction, strain),
-        "flat_strain": push.flat_strain,
-        "strain": push.strain,
-        "load_ratio": push.load_ratio,
-        "shape_m": push.shape_m.tolist(),
-        "shape_strain": push.shape_strain,
-        "newton_iterations": push.newton_iterations,
+        **push,
     }
 
 
@@ -299,10 +262,14 @@ def theory_regime(friction: float, strain: float = LARGEST_STRAIN) -> str:
     return "partially slipped" if strain >= lies_flat_at else "pinned"
 
 
-def push_strip(
+def _push(
     settings: SimulationSettings, friction: float, vertices: int, gamma: float, strain: float
-) -> StripPush:
-    """Push until the foot slips, lies flat, or the strain is reached."""
+) -> dict[str, Any]:
+    """Push until the foot slips, lies flat, or the strain is reached.
+
+    The slip strain is where |Q|/P, extrapolated, reaches the friction coefficient within the step
+    in which the foot moved; the flat strain is the middle of the step in which it came to lie flat.
+    """
     if vertices < 8:
         raise BadInput(f"protocol strip: vertices {vertices}: must be at least 8")
     if gamma > LARGEST_GAMMA:
@@ -317,7 +284,10 @@ def push_strip(
     solver, start_m = _buckled_strip(settings, friction, vertices, gamma)
     step_s = settings.time_step_s
     foot = slice(-2, None)
-    push = StripPush([], [], None, None, _profile(solver), START_STRAIN)
+    strains: list[float] = []
+    ratios: list[float] = []
+    slip_strain = flat_strain = None
+    shape_m, shape_strain = _profile(solver), START_STRAIN
     rested_m = solver.positions_m[foot, 0].copy()
 
     def clamp(time_s: float) -> np.ndarray:
@@ -328,24 +298,31 @@ def push_strip(
         solver.advance(step_s, clamp)
         now = START_STRAIN + SPEED_M_S * solver.time_s / LENGTH_M
         force_N = solver.floor_forces().sum(axis=0)
-        push.strain.append(now)
-        push.load_ratio.append(float(abs(force_N[0]) / max(force_N[2], 1e-300)))
+        strains.append(now)
+        ratios.append(float(abs(force_N[0]) / max(force_N[2], 1e-300)))
         if np.abs(solver.positions_m[foot, 0] - rested_m).max() > SLIP_M:
-            push.slip_strain = _crossing(push, friction)
+            slip_strain = _crossing(strains, ratios, friction)
             break
         if (solver.positions_m[-4:-2, 2] < 0).any():
-            push.flat_strain = 0.5 * (now + push.shape_strain)
+            flat_strain = 0.5 * (now + shape_strain)
             break
-        push.shape_m, push.shape_strain = _profile(solver), now
-    push.newton_iterations = solver.record.newton_iterations
-    return push
+        shape_m, shape_strain = _profile(solver), now
+    return {
+        "flat_strain": flat_strain,
+        "slip_strain": slip_strain,
+        "strain": strains,
+        "load_ratio": ratios,
+        "shape_m": shape_m.tolist(),
+        "shape_strain": shape_strain,
+        "newton_iterations": solver.record.newton_iterations,
+    }
 
 
-def _crossing(push: StripPush, friction: float) -> float:
+def _crossing(strains: list[float], ratios: list[float], friction: float) -> float:
     """Strain in the last step at which the load ratio of the steps before reaches the friction."""
-    if len(push.strain) < 3:
-        return push.strain[-1]
-    (first, before, last), (ratio_first, ratio_before) = push.strain[-3:], push.load_ratio[-3:-1]
+    if len(strains) < 3:
+        return strains[-1]
+    (first, before, last), (ratio_first, ratio_before) = strains[-3:], ratios[-3:-1]
     slope = (ratio_before - ratio_first) / (before - first)
     if slope <= 0:
         return last

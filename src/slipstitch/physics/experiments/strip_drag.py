@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -16,18 +17,18 @@ from scipy.integrate import solve_bvp
 
 from slipstitch.base.errors import BadInput, NotConverged
 from slipstitch.config.simulation import SimulationSettings
+from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.cloth import ClothSolver, rectangle
-from slipstitch.physics.experiments.demand import Demand
 from slipstitch.physics.experiments.specimen import (
     AREAL_DENSITY_KG_M2,
     MEMBRANE_STIFFNESS_N_M,
+    Demand,
     cylindrical_strip_tables,
     hanging_with_tail,
     held,
     require,
     solver_settings,
 )
-from slipstitch.physics.gravity import GRAVITY_M_S2
 
 DEMANDS = (Demand("pull_over_w_m", 0.02), Demand("flat_tail_m", 1e-3, relative=False))
 SHORTEST_M = 1e-9
@@ -182,6 +183,7 @@ def _flexible_guess(friction: float, length: float, height: float, bending_lengt
     return station, np.vstack((angle, curvature, ahead, up)), tail, span
 
 
+@lru_cache(maxsize=256)
 def steady_strip_drag(
     friction: float,
     length_m: float,

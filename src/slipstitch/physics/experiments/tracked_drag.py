@@ -12,6 +12,7 @@ from math import ceil, pi, sin, sqrt, tan
 
 import numpy as np
 
+from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.cloth import ClothSolver, Conditions, SolverSettings, rectangle
 from slipstitch.physics.experiments.specimen import (
     cylindrical_strip_tables,
@@ -19,8 +20,7 @@ from slipstitch.physics.experiments.specimen import (
     held,
 )
 from slipstitch.physics.friction_law import FrictionLaw
-from slipstitch.physics.friction_law.contact import REFERENCE_HUMIDITY_PCT
-from slipstitch.physics.gravity import GRAVITY_M_S2
+from slipstitch.physics.friction_law.mechanisms import REFERENCE_HUMIDITY_PCT
 
 MEMBRANE_STIFFNESS_N_M = 2000.0  # stretches the cloth by less than 0.01 mm
 PENETRATION_M = 2.0e-8

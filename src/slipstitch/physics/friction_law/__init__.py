@@ -3,11 +3,14 @@
 Depends on numpy alone. A further mechanism is one entry of the table in ``mechanisms.py``.
 """
 
-from slipstitch.physics.friction_law.contact import Contact
-from slipstitch.physics.friction_law.curve import Curve
-from slipstitch.physics.friction_law.law import FrictionLaw
-from slipstitch.physics.friction_law.mechanism import ContactMechanism, Mechanism, Parameter
-from slipstitch.physics.friction_law.mechanisms import CONTACT_MECHANISMS
+from slipstitch.physics.friction_law.law import Curve, FrictionLaw
+from slipstitch.physics.friction_law.mechanisms import (
+    CONTACT_MECHANISMS,
+    Contact,
+    ContactMechanism,
+    Mechanism,
+    Parameter,
+)
 
 __all__ = [
     "CONTACT_MECHANISMS",

@@ -26,7 +26,6 @@ DO_NOT_MATTER = {
     "frames",
     "frame_rate_hz",
     "newton_iterations_max",
-    "halvings_max",
     "yaw_sd_deg",
     "height_sd_m",
     "fabric_sd_rel",

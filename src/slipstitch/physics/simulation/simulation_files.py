@@ -1,17 +1,49 @@
-"""Simulations as files: those of the grid, with their ids; states of failed ones, for diagnosis."""
+"""Simulations as files: those of the grid, and those that are handed out instead of computed.
 
+A handed out simulation, of a release or a folder of trajectories, is taken if fabric, friction
+coefficient, seed and settings are those of the run. A file that claims to be the run and is not is
+refused; what no file claims to be is simulated.
+"""
+
+from __future__ import annotations
+
+import json
 import os
+from collections.abc import Iterator, Mapping
+from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from slipstitch.base.errors import NotConverged
-from slipstitch.base.provenance import atomic_path, provenance_record, start_clock
+from slipstitch.base.errors import BadInput, NotConverged
+from slipstitch.base.provenance import (
+    atomic_path,
+    file_digest,
+    open_parquet,
+    provenance_record,
+    read_metadata,
+    start_clock,
+)
+from slipstitch.base.provenance.record import DIGEST_KEY
 from slipstitch.config import Config
+from slipstitch.config.former import FormerKeyError, without_former_keys
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.design.grid import find_simulation
-from slipstitch.physics.simulation.drop_and_drag import DropAndDrag, simulate_drop_and_drag
-from slipstitch.physics.simulation.handed_out import take_handed_out
-from slipstitch.physics.simulation.trajectory import Trajectory, write_trajectory
+from slipstitch.physics.friction_law.extended_model import read_extended_model
+from slipstitch.physics.simulation.convergence import measured_convergence
+from slipstitch.physics.simulation.drop_and_drag import (
+    DropAndDrag,
+    cloth_mesh,
+    described_mesh,
+    draw_perturbation,
+    simulate_drop_and_drag,
+)
+from slipstitch.physics.simulation.trajectory import Trajectory, read_with_columns, write_trajectory
+
+CHECKSUMS = "SHA256SUMS"
+SIMULATIONS = "simulations"  # where a release has them
+_OF_THE_RUN = ("material", "friction", "seed")
 
 
 def run_of_the_grid(config: Config, name: str) -> tuple[DropAndDrag, dict[str, str]]:
@@ -48,10 +80,9 @@ def simulate_to_file(
 
     Parameters
     ----------
-    config : Config
-    run : DropAndDrag
+    config, run
     ids : dict
-        What `run_of_the_grid` says of it, or an empty mapping.
+        What `run_of_the_grid` says of the run, or an empty mapping.
     path : path
         Parquet file.
     device : str, optional
@@ -110,3 +141,123 @@ def _with_state_saved(error: NotConverged, out: str | os.PathLike) -> NotConverg
     with atomic_path(path) as partial, open(partial, "wb") as stream:
         np.savez_compressed(stream, **error.state)
     return NotConverged(f"{error}; its state was saved to {path}")
+
+
+def take_handed_out(
+    folder: str | os.PathLike, run: DropAndDrag, ids: dict[str, str], settings: SimulationSettings
+) -> tuple[Trajectory, dict[str, np.ndarray], dict[str, Any]] | None:
+    """Read a run from a folder of simulations or from a release.
+
+    Returns
+    -------
+    trajectory, columns
+        As `slipstitch.physics.simulation.drop_and_drag.simulate_drop_and_drag` returns them.
+    origin : dict
+        For the record: ``file``, its ``sha256``, and its own ``provenance``.
+
+    None instead where no file claims to be the run.
+
+    Raises
+    ------
+    BadInput
+        If there is no such folder, or it has no simulations; if two files claim to be the run; if
+        the file that does is damaged, or of another fabric, coefficient, seed, mesh or settings.
+    """
+    claims = [
+        path
+        for path, metadata in _simulations(Path(folder))
+        if (
+            metadata.get("simulation") == ids["simulation"]
+            if ids
+            else all(metadata.get(name) == getattr(run, name) for name in _OF_THE_RUN)
+        )
+    ]
+    if not claims:
+        return None
+    name = ids.get("simulation") or f"{run.material} at friction {run.friction:g}, seed {run.seed}"
+    if len(claims) > 1:
+        raise BadInput(f"{claims[0]}: claims to be {name}, and so does {claims[1].name}")
+    (path,) = claims
+    sha256 = _checked_digest(path)
+    trajectory, columns = read_with_columns(path)
+    for difference in _differences(trajectory, run, settings):
+        raise BadInput(f"{path}: is not {name} of this configuration: {difference}")
+    metadata = trajectory.metadata
+    origin = {"file": path.name, "sha256": sha256, "provenance": metadata.pop("provenance", None)}
+    # What the study says now; a newer study may say something else.
+    known = measured_convergence(run.material, run.friction, settings)
+    metadata |= {**ids, "convergence": known}
+    return trajectory, columns, origin
+
+
+def _simulations(folder: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
+    """Files of a folder, or of a release, that hold a simulation, and their metadata."""
+    if not folder.is_dir():
+        raise BadInput(f"{folder}: no such folder; must have simulations, or be a release")
+    inside = folder / SIMULATIONS
+    paths = sorted((inside if inside.is_dir() else folder).glob("*.parquet"))
+    if not paths:
+        raise BadInput(f"{folder}: has no simulations (*.parquet)")
+    for path in paths:
+        with open_parquet(path) as file:
+            metadata = read_metadata(file.schema_arrow)
+        if "material" in metadata and "friction" in metadata:
+            yield path, metadata
+
+
+def _checked_digest(path: Path) -> str:
+    """SHA-256 of a file, which must be the one that is listed beside it or above.
+
+    A file whose pages carry checksums, as Slipstitch writes them, needs no list.
+    """
+    digest = file_digest(path)
+    for folder in (path.parent, path.parent.parent):
+        listed = folder / CHECKSUMS
+        if not listed.is_file():
+            continue
+        lines = [line.split(maxsplit=1) for line in listed.read_text("utf-8").splitlines()]
+        known = {name.lstrip("*./"): sha256 for sha256, name in (one for one in lines if one[1:])}
+        name = path.relative_to(folder).as_posix()
+        if name in known:
+            if known[name] != digest:
+                raise BadInput(f"{path}: damaged: its SHA-256 is not the one in {listed.name}")
+            return digest
+    with open_parquet(path) as file:
+        if DIGEST_KEY not in (file.schema_arrow.metadata or {}):
+            raise BadInput(f"{path}: cannot be checked: no {CHECKSUMS} beside lists it")
+    return digest
+
+
+def _differences(
+    trajectory: Trajectory, run: DropAndDrag, settings: SimulationSettings
+) -> Iterator[str]:
+    """What a simulation was made with other than a run is to be made with, in words."""
+    its = trajectory.metadata
+    own: Mapping[str, Any] = {name: getattr(run, name) for name in _OF_THE_RUN}
+    for name, value in own.items():
+        if its.get(name) != value:
+            yield f"{name} {its.get(name)}, not {value}"
+    own, theirs = settings.model_dump(mode="json"), its.get("settings") or {}
+    try:
+        theirs = without_former_keys("simulation", theirs)
+    except FormerKeyError as error:
+        yield str(error)
+    for name in sorted({*own, *theirs} - {"model"}):
+        if own.get(name) != theirs.get(name):
+            yield f"{name} {theirs.get(name, 'not stated')}, not {own.get(name, 'stated')}"
+    model = asdict(read_extended_model(settings.model)) if settings.model else None
+    recorded = ((its.get("provenance") or {}).get("config") or {}).get("catalogue")
+    perturbation = asdict(draw_perturbation(settings, run.seed, run.replicate))
+    for name, expected, stated in (
+        ("perturbation of the bench", perturbation, its.get("perturbation")),
+        ("extended model", json.loads(json.dumps(model)), its.get("extended_model")),
+        ("fabric data", run.catalogue_entries(), recorded),
+    ):
+        if expected != stated:
+            yield f"another {name}"
+    for name, array in described_mesh(*cloth_mesh(settings)).items():
+        stated = getattr(trajectory, name)
+        if np.shape(array) != np.shape(stated) or not np.allclose(array, stated, 0, 1e-12):
+            yield "another mesh"
+    if len(trajectory.frame) != settings.frames:
+        yield f"{len(trajectory.frame)} frames, not {settings.frames}"

@@ -1,0 +1,114 @@
+"""Settings of the dataset, of what is handed out, and of the criticised cases.
+
+Pydantic and the standard library only.
+"""
+
+import re
+from pathlib import PurePath
+from typing import Literal
+
+from pydantic import Field, field_validator, model_validator
+
+from slipstitch.config.section import Section
+
+
+class SampleSettings(Section):
+    """Number of frames per video, and the test videos."""
+
+    frames: int = Field(30, ge=2, le=10000, description="frames of a video, at regular intervals")
+    phases: int = Field(
+        1,
+        ge=1,
+        le=100,
+        description="number of phases: this many times the frames are kept, at equal intervals; "
+        "the instrument draws its phase at random in training, everything else uses the first",
+    )
+    validation_fraction: float = Field(
+        0.1, ge=0.0, lt=1.0, description="share of the videos (or replicates) for validation"
+    )
+    test_fraction: float = Field(
+        0.1, gt=0.0, lt=1.0, description="share of the videos (or replicates) for testing"
+    )
+    validation_materials: list[str] = Field(
+        [],
+        description="fabrics of the grid that by_simulation keeps from training and testing: all "
+        "their simulations are for validation, so that error bars allow for an unseen fabric",
+    )
+    train_only_frictions: list[float] = Field(
+        [],
+        description="coefficients of the grid that by_simulation never holds out: they train, so "
+        "that those next to them are not the end of what a network has seen",
+    )
+    hold_out: Literal["auto", "replicate", "pair"] = Field(
+        "auto",
+        description="what by_simulation holds out: the last replicates of every "
+        "(material, friction) pair, or whole pairs; auto: replicates if there are at least two",
+    )
+
+    @property
+    def frames_kept(self) -> int:
+        """Frames of a video in the dataset."""
+        return self.frames * self.phases
+
+    @model_validator(mode="after")
+    def _something_is_left_to_train_on(self) -> "SampleSettings":
+        if self.validation_fraction + self.test_fraction >= 1.0:
+            raise ValueError("validation_fraction + test_fraction must be below 1")
+        return self
+
+
+class ReleaseSettings(Section):
+    """Name and layout of a released dataset."""
+
+    name: str = Field(
+        "slipstitch-cloth-friction",
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$",
+        description="name of the dataset: letters, digits, dot, dash, underscore",
+    )
+    version: str = Field(
+        "0.1.0", pattern=r"^\d+\.\d+\.\d+$", description="version of the dataset, MAJOR.MINOR.PATCH"
+    )
+    shard_mb: float = Field(256.0, gt=0.0, le=5000.0, description="maximum size of an image shard")
+    unseen_share: float = Field(
+        0.2,
+        gt=0.0,
+        lt=1.0,
+        description="share of the fabrics, and of the friction coefficients between the lowest "
+        "and the highest, held out by unseen_fabric and unseen_friction; at least one",
+    )
+
+
+class PublishSettings(Section):
+    """What a published run is called."""
+
+    name: str = Field(
+        "demo",
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$",
+        description="folder below results/published: letters, digits, dot, dash, underscore",
+    )
+
+
+class CriticiseSettings(Section):
+    """The measured cases."""
+
+    cases: tuple[str, ...] = Field(
+        (
+            "data/cases/paper_on_paper",
+            "data/cases/block_on_wood_board",
+            "data/cases/block_on_other_board",
+            "data/cases/surrogate_anisotropic",
+        ),
+        description="case folders (docs/criticise-your-data.md), relative to the working folder, "
+        "or included in the workflow; a folder's name is the case's id",
+    )
+
+    @field_validator("cases")
+    @classmethod
+    def _named_apart(cls, cases: tuple[str, ...]) -> tuple[str, ...]:
+        names = [PurePath(case).name for case in cases]
+        for name in names:
+            if not re.fullmatch(r"\w[\w-]*", name):
+                raise ValueError(f"case folder {name!r}: may contain only letters, digits, - and _")
+        if len(set(names)) != len(names):
+            raise ValueError(f"case folders with the same name: {', '.join(sorted(names))}")
+        return cases

@@ -1,0 +1,175 @@
+"""A square of cloth on a plane: inclined, tilted until it slides, or level and dragged."""
+
+from __future__ import annotations
+
+from math import atan, cos, nextafter, pi, radians, sin, tan
+from typing import Any
+
+import numpy as np
+
+from slipstitch.config.simulation import SimulationSettings
+from slipstitch.physics import GRAVITY_M_S2
+from slipstitch.physics.cloth import ClothSolver, Conditions, rectangle
+from slipstitch.physics.experiments.specimen import (
+    AREAL_DENSITY_KG_M2,
+    MEMBRANE_STIFFNESS_N_M,
+    Demand,
+    require,
+    solver_settings,
+)
+from slipstitch.physics.fabric import isotropic_tables
+from slipstitch.physics.friction_law import FrictionLaw
+
+HINGE_STIFFNESS_N_M = 5.0e-5
+CREEP_MAX_M = 1.0e-6  # elastic microslip stays below; more than this in a second is sliding
+BELOW_UPRIGHT_RAD = nextafter(pi / 2, 0.0)
+TILT_STEPS = 600  # up to the slope at which it should break away
+TILT_BEYOND = 1.2  # times that slope, where the plane stops
+TILT_SLIDES_M = 1.0e-5  # elastic microslip stays below
+INCLINE_DEMANDS = (Demand("acceleration_m_s2", 0.01, zero=2e-4),)  # 0.1 mm in 1 s: it sticks
+TILT_DEMANDS = (Demand("slope_at_slip", 0.005),)
+FLAT_DRAG_DEMANDS = (Demand("pull_over_weight", 0.005),)
+
+
+def incline_theory(friction: float, slope_rad: float) -> float:
+    """Acceleration (m/s²) of a body on an inclined plane, released at rest; 0 where it sticks.
+
+    Amontons-Coulomb: sticks while tan θ ≤ μ, else slides with a = g (sin θ − μ cos θ).
+
+    Parameters
+    ----------
+    friction : float
+        Friction coefficient μ ≥ 0, static and kinetic alike.
+    slope_rad : float
+        Angle θ of the plane (rad), 0 ≤ θ < π/2.
+    """
+    friction = require("friction", friction, 0.0)
+    slope = require("slope_rad", slope_rad, 0.0, BELOW_UPRIGHT_RAD)
+    if tan(slope) <= friction:
+        return 0.0
+    return GRAVITY_M_S2 * (sin(slope) - friction * cos(slope))
+
+
+def _square(
+    settings: SimulationSettings,
+    friction: float | FrictionLaw,
+    slope_rad: float = 0.0,
+    vertices: int = 5,
+    side_m: float = 0.02,
+    led: bool = False,
+) -> ClothSolver:
+    """Cloth that lies as deep in the plane as its weight presses it there.
+
+    `led`: its leading edge, v = 0, is led along x.
+    """
+    mesh = rectangle(vertices, vertices, side_m, side_m)
+    across, down = mesh.rest_uv_m.T
+    place = [side_m - down, across] if led else [across, down]
+    fixed = np.zeros((mesh.vertex_count, 3), bool)
+    fixed[:, 0] = led & (down == 0)
+    solver = ClothSolver(
+        mesh,
+        isotropic_tables(AREAL_DENSITY_KG_M2, MEMBRANE_STIFFNESS_N_M, HINGE_STIFFNESS_N_M),
+        np.column_stack([*place, np.zeros(mesh.vertex_count)]),
+        friction=friction,
+        fixed=fixed,
+        settings=solver_settings(settings),
+        conditions=Conditions(gravity_m_s2=_gravity_on(slope_rad)),
+    )
+    weight_N = solver.mass_kg * GRAVITY_M_S2
+    solver.positions_m[:, 2] = -weight_N * cos(slope_rad) / solver.contact_stiffness_N_m
+    return solver
+
+
+def _gravity_on(slope_rad: float) -> tuple[float, float, float]:
+    return GRAVITY_M_S2 * sin(slope_rad), 0.0, -GRAVITY_M_S2 * cos(slope_rad)
+
+
+def incline(settings: SimulationSettings, friction: float, slope_deg: float) -> dict[str, Any]:
+    """A square of cloth on a plane tilted slowly to a slope, for one second from there.
+
+    Returns
+    -------
+    dict
+        ``sticks``, ``creep_m`` (distance moved in 1 s), ``acceleration_m_s2`` (final speed over
+        time), ``theory_acceleration_m_s2``.
+    """
+    slope = radians(slope_deg)
+    solver = _square(settings, friction, slope)
+    start_m = solver.positions_m[:, :2]
+    weight_N = solver.mass_kg * GRAVITY_M_S2
+    borne_N = weight_N * min(sin(slope), friction * cos(slope))
+    solver.start(preload_N=np.column_stack([borne_N, 0 * borne_N]))
+    steps = round(1.0 / settings.time_step_s)
+    for _ in range(steps):
+        solver.advance(1.0 / steps)
+    creep_m = float(np.linalg.norm((solver.positions_m[:, :2] - start_m).mean(axis=0)))
+    return {
+        "sticks": creep_m < CREEP_MAX_M,
+        "creep_m": creep_m,
+        "acceleration_m_s2": float(solver.velocities_m_s[:, 0].mean() / solver.time_s),
+        "theory_acceleration_m_s2": incline_theory(friction, slope),
+    }
+
+
+def tilt(
+    settings: SimulationSettings, friction: float, static_kinetic: float = 0.0
+) -> dict[str, Any]:
+    """A square of cloth on a plane that is tilted slowly from the horizontal until it slides.
+
+    Parameters
+    ----------
+    friction : float
+        Kinetic coefficient.
+    static_kinetic : float
+        How far the static one exceeds it, over the kinetic one.
+
+    Returns
+    -------
+    dict
+        ``slope_at_slip``, the tangent of the slope where it breaks away (None: it does not), and
+        ``theory_slope_at_slip``.
+    """
+    law = FrictionLaw(friction, {"static_kinetic": {"static_kinetic": static_kinetic}})
+    expected = friction * (1 + static_kinetic)
+    solver = _square(settings, law)
+    start_m = solver.positions_m[:, 0].mean()
+    solver.start()
+    slope_at_slip = None
+    for step in range(1, round(TILT_BEYOND * TILT_STEPS) + 1):
+        slope = expected * step / TILT_STEPS
+        solver.set_gravity(_gravity_on(atan(slope)))
+        solver.advance(settings.time_step_s)
+        if solver.positions_m[:, 0].mean() - start_m > TILT_SLIDES_M:
+            slope_at_slip = slope
+            break
+    return {"slope_at_slip": slope_at_slip, "theory_slope_at_slip": expected}
+
+
+def flat_drag(settings: SimulationSettings, friction: float) -> dict[str, Any]:
+    """A square of cloth lying flat, pulled along the floor by its leading edge.
+
+    Every part of the sheet carries its own weight, so that the pull is μ times the whole weight
+    whatever the shape (Amontons 1699).
+
+    Returns
+    -------
+    dict
+        ``pull_over_weight`` and ``theory_pull_over_weight``.
+    """
+    solver = _square(settings, friction, vertices=11, side_m=0.1, led=True)
+    flat_m = solver.positions_m
+    solver.start()
+    speed_m_s, duration_s = 0.01, 2.0
+    steps = round(duration_s / settings.time_step_s)
+
+    def pulled(time_s: float) -> np.ndarray:
+        return flat_m + np.array([speed_m_s * time_s, 0.0, 0.0])
+
+    for _ in range(steps):
+        solver.advance(duration_s / steps, pulled)
+    weight_N = solver.mass_kg.sum() * GRAVITY_M_S2
+    return {
+        "pull_over_weight": float(solver.reactions()[:, 0].sum() / weight_N),
+        "theory_pull_over_weight": friction,
+    }

@@ -1,0 +1,223 @@
+"""The ten fabrics of Wang, O'Brien and Ramamoorthi (2011), and their data-driven elastic law.
+
+The law as tables that the cloth's kernels interpolate, as ARCSim (Narain, Samii and O'Brien 2012)
+and ARGUS sample it: stretching on a regular grid of Green strain, bending on fold direction and
+curvature.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+
+from slipstitch.base.errors import BadInput
+from slipstitch.config.catalogue import FABRICS_FILE
+
+STRAIN_NODES = 30
+NORMAL_STRAIN_MIN = -0.25  # of G00 and G11; |G01| starts at 0
+STRAIN_SPACING = 1.0 / 30.0
+CURVATURE_SPACING_PER_M = 5.0
+FOLD_DIRECTIONS, FOLD_CURVATURES = 3, 5  # of the bending table
+
+
+@dataclass(frozen=True)
+class Fabric:
+    """Measured elastic parameters of one fabric.
+
+    Attributes
+    ----------
+    name : str
+    areal_density_kg_m2 : float
+    stretching_N_m : ndarray, shape (6, 4)
+        Rows: zero strain, then principal stretch at 0, 22.5, 45, 67.5, 90 degrees from u.
+        Columns: c11, c12, c22, c33.
+    bending_N_m : ndarray, shape (3, 5)
+        Hinge stiffness. Rows: fold line at 0, 45, 90 degrees from u. Columns: curvature
+        parameter 0, 5, 10, 15, 20 1/m.
+    """
+
+    name: str
+    areal_density_kg_m2: float
+    stretching_N_m: np.ndarray
+    bending_N_m: np.ndarray
+
+    def scaled(self, density: float, stretching: float, bending: float) -> Fabric:
+        """Return the fabric with its three groups of parameters multiplied by factors."""
+        return replace(
+            self,
+            areal_density_kg_m2=self.areal_density_kg_m2 * density,
+            stretching_N_m=self.stretching_N_m * stretching,
+            bending_N_m=self.bending_N_m * bending,
+        )
+
+
+def read_fabric_file(path: str | Path) -> dict[str, Fabric]:
+    """Read a file of fabrics, in the layout of the project's own ``fabrics.json``.
+
+    Raises
+    ------
+    BadInput
+        A key is missing, a table has the wrong shape, or a value is not finite, or a value
+        that must be positive (areal density, bending, stretching c11 and c22 at rest) is not.
+    """
+    path = Path(path)
+    try:
+        entries = json.loads(path.read_text(encoding="utf-8"))["fabrics"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise BadInput(f"{path}: not a fabric file with a 'fabrics' object ({error})") from None
+    return {name: _fabric(path, name, entry) for name, entry in entries.items()}
+
+
+def _fabric(path: Path, name: str, entry: dict) -> Fabric:
+    where = f"{path}: fabric {name!r}"
+    arrays = {}
+    for key, shape in (
+        ("areal_density_kg_m2", ()),
+        ("stretching_N_m", (6, 4)),
+        ("bending_N_m", (3, 5)),
+    ):
+        if not isinstance(entry, dict) or key not in entry:
+            raise BadInput(f"{where}: {key} is missing")
+        try:
+            value = np.array(entry[key], dtype=float)
+        except (TypeError, ValueError):
+            raise BadInput(f"{where}: {key} must contain only numbers") from None
+        if value.shape != shape:
+            raise BadInput(f"{where}: {key} has shape {value.shape}, must be {shape}")
+        if not np.isfinite(value).all():
+            raise BadInput(f"{where}: {key} contains a non-finite value")
+        arrays[key] = value
+    if arrays["areal_density_kg_m2"] <= 0:
+        raise BadInput(f"{where}: areal_density_kg_m2 must be positive")
+    if (arrays["bending_N_m"] <= 0).any():
+        raise BadInput(f"{where}: bending_N_m must be positive throughout")
+    if (arrays["stretching_N_m"][0, [0, 2]] <= 0).any():
+        raise BadInput(f"{where}: stretching_N_m row 0 must have positive c11 and c22")
+    return Fabric(
+        name, float(arrays["areal_density_kg_m2"]), arrays["stretching_N_m"], arrays["bending_N_m"]
+    )
+
+
+@cache
+def _catalogue() -> dict[str, Fabric]:
+    return read_fabric_file(FABRICS_FILE)
+
+
+def load_fabric(name: str) -> Fabric:
+    """Return a fabric of the catalogue, or BadInput."""
+    if name not in _catalogue():
+        raise BadInput(f"unknown material {name!r}; allowed: {', '.join(_catalogue())}")
+    return _catalogue()[name]
+
+
+def fabric_digest(name: str, catalogue: str | Path = FABRICS_FILE) -> str | None:
+    """SHA-256 of the numbers of one fabric, whatever other fabrics there are; None without it."""
+    fabrics = _catalogue() if catalogue == FABRICS_FILE else read_fabric_file(catalogue)
+    if name not in fabrics:
+        return None
+    fabric = fabrics[name]
+    numbers = [
+        fabric.areal_density_kg_m2,
+        fabric.stretching_N_m.tolist(),
+        fabric.bending_N_m.tolist(),
+    ]
+    return hashlib.sha256(json.dumps(numbers).encode()).hexdigest()
+
+
+@dataclass(frozen=True)
+class ElasticTables:
+    """The tables interpolated by the kernels.
+
+    Attributes
+    ----------
+    areal_density_kg_m2 : float
+    stretching_N_m : ndarray, shape (30, 30, 30, 4)
+        k0, k1, k2, k3 over (G00, G11, abs(G01)); nodes at -0.25 + i/30, -0.25 + i/30, j/30.
+    bending_N_m : ndarray, shape (3, 5)
+        Hinge stiffness over fold direction (0, 45, 90 degrees from u) and curvature
+        (0, 5, 10, 15, 20 1/m).
+    rest_curvature_per_m : float
+        Natural curl about the u axis; positive curls towards the face's normal.
+    """
+
+    areal_density_kg_m2: float
+    stretching_N_m: np.ndarray
+    bending_N_m: np.ndarray
+    rest_curvature_per_m: float = 0.0
+
+    @classmethod
+    def of_fabric(cls, fabric: Fabric) -> ElasticTables:
+        """Sample the law of a fabric."""
+        return cls(
+            fabric.areal_density_kg_m2,
+            sample_stretching(fabric.stretching_N_m),
+            np.maximum(fabric.bending_N_m, 0.0),
+        )
+
+
+def stretching_stiffness(rows: np.ndarray, G00, G11, G01) -> np.ndarray:
+    """Stiffness k0...k3 of the data-driven law at given Green strains, in N/m.
+
+    Parameters
+    ----------
+    rows : ndarray, shape (6, 4)
+    G00, G11, G01 : array_like
+        Components of the Green strain, broadcast against each other.
+
+    Returns
+    -------
+    ndarray, shape (..., 4)
+    """
+    C00, C11, C01 = np.broadcast_arrays(
+        1 + 2 * np.asarray(G00, float), 1 + 2 * np.asarray(G11, float), 2 * np.asarray(G01, float)
+    )
+    middle, half = (C00 + C11) / 2, (C00 - C11) / 2
+    stretch = np.sqrt(np.maximum(middle + np.hypot(half, C01), 0.0))
+    # Direction of the largest principal stretch; where there is none, ARCSim reads 0.
+    angle_deg = np.degrees(np.abs(0.5 * np.arctan2(C01, half)))
+    weight = np.clip(6.0 * (stretch - 1.0), 0.0, 1.0)[..., None]
+    position = np.clip(angle_deg / 22.5, 0.0, 4.0)
+    low = np.minimum(position.astype(int), 3)
+    fraction = (position - low)[..., None]
+    directional = (1 - fraction) * rows[1 + low] + fraction * rows[2 + low]
+    return 2.0 * np.maximum((1 - weight) * rows[0] + weight * directional, 0.0)
+
+
+def sample_stretching(rows: np.ndarray) -> np.ndarray:
+    """Sample the law on the nodes that the original samples it on, shape (30, 30, 30, 4)."""
+    normal = NORMAL_STRAIN_MIN + STRAIN_SPACING * np.arange(STRAIN_NODES)
+    shear = STRAIN_SPACING * np.arange(STRAIN_NODES)
+    return stretching_stiffness(
+        rows, normal[:, None, None], normal[None, :, None], shear[None, None, :]
+    )
+
+
+def isotropic_tables(
+    areal_density_kg_m2: float,
+    membrane_stiffness_N_m: float,
+    hinge_stiffness_N_m: float,
+    poisson_ratio: float = 0.0,
+) -> ElasticTables:
+    """Return tables of an isotropic, linear sheet, for comparison with theory.
+
+    Parameters
+    ----------
+    membrane_stiffness_N_m : float
+        Young's modulus times thickness.
+    hinge_stiffness_N_m : float
+        Stiffness ke of the hinges; the plate rigidity is ke/4 where the sheet is held
+        cylindrical.
+    """
+    plane = membrane_stiffness_N_m / (1 - poisson_ratio**2)
+    k = np.array([plane, poisson_ratio * plane, plane, (1 - poisson_ratio) * plane])
+    shape = (STRAIN_NODES, STRAIN_NODES, STRAIN_NODES, 4)
+    return ElasticTables(
+        areal_density_kg_m2,
+        np.broadcast_to(k, shape).copy(),
+        np.full((FOLD_DIRECTIONS, FOLD_CURVATURES), hinge_stiffness_N_m),
+    )
