@@ -1,5 +1,6 @@
 """Spreadsheets of everywhere: read where they mean one thing, refused in one line where not."""
 
+import json
 import re
 
 import numpy as np
@@ -7,9 +8,12 @@ import pandas as pd
 import pytest
 
 from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import read_json
 from slipstitch.base.tables import as_number, directions_in_radians, read_cells
 from slipstitch.cli.main import main
 from slipstitch.film.slip_angles import read_angles
+from slipstitch.images.camera_file import read_camera_file
+from slipstitch.physics.fabric import read_fabric_file
 
 HEADER = "material,substrate,position,orientation,repeat,angle_deg,bench_error_deg"
 ROWS = [f"Wölle,glass,{i},warp,1,{22.5 + 0.1 * i:.2f},0.2" for i in range(1, 6)]
@@ -70,6 +74,26 @@ def test_another_encoding_is_named_with_the_way_out(tmp_path):
     path.write_bytes(b"t_s,force_mN\n" + bytes(range(0x81, 0xFF)))
     with pytest.raises(BadInput, match="encoding is not UTF-8; export as CSV in UTF-8"):
         read_cells(path, ["t_s"], 1e6)
+
+
+@pytest.mark.parametrize(
+    "read, content",
+    [
+        (read_json, {"models": 1}),
+        (read_camera_file, {"format": "another"}),
+        (read_fabric_file, {"fabrics": {}}),
+    ],
+)
+def test_a_byte_order_mark_in_json_changes_nothing(read, content, tmp_path):
+    said = []
+    for encoding in ("utf-8", "utf-8-sig"):
+        (tmp_path / "a.json").write_text(json.dumps(content), encoding=encoding)
+        try:
+            said.append(read(tmp_path / "a.json"))
+        except BadInput as error:
+            said.append(str(error))
+    assert said[0] == said[1]
+    assert said[0] == content or said[0] == {} or "its format is not" in said[0]
 
 
 @pytest.mark.parametrize("text", ["2_2.5", "0x1A", "１２", "nan", "1 000", "", "1,5"])

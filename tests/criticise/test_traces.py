@@ -8,6 +8,8 @@ import pytest
 
 from slipstitch.base.errors import BadInput
 from slipstitch.criticise.case import read_case
+from slipstitch.criticise.expected_traces import _READINGS as READINGS
+from slipstitch.criticise.expected_traces import ASSUMPTIONS
 from slipstitch.criticise.force_cells import cell_faults
 from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.plausibility import implausible
@@ -17,9 +19,10 @@ from slipstitch.criticise.traces import glitches
 
 KINETIC, STATIC = 0.40, 0.45
 RUNS, LOAD_KG, SPRING, SPEED = 6, 0.05, 60.0, 2.0
+NOMINAL = {"rho_kg_m2": 1e-2, "k_tether_N_m": 60.0, "B_Nm": 1e-6, "cloth_length_m": 0.2}
 
 
-def slider_case(folder, samples=40, spoil=lambda trace: trace):
+def slider_case(folder, samples=40, spoil=lambda trace: trace, seconds=5.0):
     """Stick-slip sampled so many times a natural period, each run spoilt."""
     rng, level = np.random.default_rng(1), 1e3 * KINETIC * LOAD_KG * 9.80665
     slider = Slider(LOAD_KG, SPRING, 1e-3 * SPEED)
@@ -27,7 +30,7 @@ def slider_case(folder, samples=40, spoil=lambda trace: trace):
     step = 2 * np.pi * np.sqrt(LOAD_KG / SPRING) / samples
     (folder / "spring_slider").mkdir(parents=True)
     for i in range(RUNS):
-        time = np.arange(0.0, 5.0, step)
+        time = np.arange(0.0, seconds, step)
         force = 1e3 * steady_force(slider, 1e-3 * level * (1 + 0.01 * (i % 3)), half, time)
         force = np.minimum(SPRING * SPEED * time, force) + rng.normal(0, 0.5, len(time))
         trace = spoil(pd.DataFrame({"t_s": time, "force_mN": force}))
@@ -61,6 +64,21 @@ def drag_case(folder, samples=200, spoil=lambda trace: trace):
     return folder
 
 
+def planned_case(name, **columns):
+    """A maker of a case as a plain bench would give it."""
+
+    def make(folder, samples=None, spoil=lambda trace: trace):
+        folder.mkdir(parents=True, exist_ok=True)
+        runs = write_runs(folder, name, **columns)
+        assumed = {assumption.name: assumption.value for assumption in ASSUMPTIONS}
+        readings = READINGS[name](runs, NOMINAL, assumed, np.random.default_rng(3))
+        parts = [spoil(trace).assign(run_id=f"r{i}") for i, trace in enumerate(readings)]
+        pd.concat(parts).to_csv(folder / f"{name}.csv", index=False)
+        return folder
+
+    return make
+
+
 def write_runs(folder, name, **columns):
     common = {
         "run_id": [f"r{i}" for i in range(RUNS)],
@@ -69,15 +87,28 @@ def write_runs(folder, name, **columns):
         "repeat_index": np.arange(RUNS) % 3,
     }
     empty = ("orientation_deg", "dwell_s", "rh_pct", "pos_x_mm", "operator", "stage_azimuth_deg")
-    runs = pd.DataFrame(common | dict.fromkeys(empty, "") | {"area_cm2": 1.0}, dtype=object)
-    runs.assign(added_mass_g=1e3 * LOAD_KG, **columns).to_csv(
-        folder / f"{name}_runs.csv", index=False
-    )
-    nominal = {"rho_kg_m2": 1e-2, "k_tether_N_m": 60.0}
-    (folder / "meta.json").write_text(json.dumps({"nominal": nominal}), encoding="utf-8-sig")
+    usual = dict.fromkeys(empty, np.nan) | {"area_cm2": 1.0, "added_mass_g": 1e3 * LOAD_KG}
+    runs = pd.DataFrame(common | usual | columns)
+    runs.to_csv(folder / f"{name}_runs.csv", index=False)
+    (folder / "meta.json").write_text(json.dumps({"nominal": NOMINAL}), encoding="utf-8-sig")
+    return runs
 
 
-MAKERS = {"spring_slider": slider_case, "drag": drag_case}
+of_push = dict.fromkeys(("push_azimuth_deg", "turned_deg", "support"), np.nan)
+of_push |= {
+    "moved_mm": 11.0,
+    "quiet_s": 0.4,
+    "added_mass_g": 1500.0,
+    "speed_mm_s": 2.5,
+    "u_force_mN": 5.0,
+}
+MAKERS = {
+    "spring_slider": slider_case,
+    "drag": drag_case,
+    "push": planned_case("push", **of_push),
+    "drop_drag": planned_case("drop_drag", height_mm=100.0, speed_mm_s=10.0, u_pos_mm=0.3),
+}
+LEVELS = ("slider_level_mN", "force_plateau_mN", "push_level_mN", "lag_mm")
 
 
 def spikes(size, many):
@@ -118,6 +149,23 @@ def test_glitches_are_set_aside_and_said(name, rate, size, many, tmp_path):
     assert np.abs(found.y - clean.y) == pytest.approx(0.0, abs=1.5)
 
 
+@pytest.mark.parametrize("name", ["spring_slider", "drag", "push"])
+@pytest.mark.parametrize("first, many", [(0, 1), (0, 3), (-1, 1), (60, 10)])
+def test_large_glitches_at_the_ends_and_in_bursts_are_set_aside(name, first, many, tmp_path):
+    def spoil(trace):
+        column = "force_x_mN" if name == "push" else "force_mN"
+        place = first % len(trace)
+        trace.loc[place : place + many - 1, column] = 3e4
+        return trace
+
+    clean = read_features(MAKERS[name](tmp_path / "clean"))
+    found = read_features(MAKERS[name](tmp_path / "case", spoil=spoil))
+    assert [(f.kind, f.size) for f in found.findings] == [("glitches", RUNS * many)]
+    assert found.rows["quantity"].tolist() == clean.rows["quantity"].tolist()
+    levels = found.rows["quantity"].isin(LEVELS)
+    assert found.y[levels] == pytest.approx(clean.y[levels], rel=0.02)
+
+
 @pytest.mark.parametrize("samples", [5, 20, 100])
 def test_a_coarsely_sampled_saw_tooth_has_no_glitch(samples):
     place = np.arange(40 * samples)
@@ -136,18 +184,24 @@ def test_a_coarsely_sampled_saw_tooth_has_no_glitch(samples):
         ("spring_slider", lambda t: pd.concat([t[:50], t[49:]]), "averaged"),
         ("drag", lambda t: pd.concat([t[:50], t[49:]]), "averaged"),
         ("spring_slider", lambda t: t[::-1], "sorted"),
+        ("push", restarts(0.5), "clock starts again"),
+        ("push", lambda t: t.assign(t_s=t["t_s"].round(1)), "spaced evenly"),
+        ("push", lambda t: pd.concat([t[:50], t[49:]]), "averaged"),
+        ("push", lambda t: t[::-1], "sorted"),
+        ("drop_drag", lambda t: t.assign(t_s=t["t_s"].round(0)), "spaced evenly"),
+        ("drop_drag", lambda t: pd.concat([t[:50], t[49:]]), "averaged"),
+        ("drop_drag", lambda t: t[::-1], "sorted"),
     ],
 )
 def test_clocks_that_step_back_or_stand_still_are_read_and_said(name, spoil, words, tmp_path):
     clean = read_features(MAKERS[name](tmp_path / "clean"))
     found = read_features(MAKERS[name](tmp_path / "case", spoil=spoil))
     assert [words in finding.quantity for finding in found.findings] == [True] * bool(words)
-    levels = found.rows["quantity"].isin(["slider_level_mN", "force_plateau_mN"])
-    expected = clean.rows["quantity"].isin(["slider_level_mN", "force_plateau_mN"])
+    levels, expected = (m.rows["quantity"].isin(LEVELS) for m in (found, clean))
     assert found.y[levels] == pytest.approx(clean.y[expected], rel=0.03)
 
 
-@pytest.mark.parametrize("name", MAKERS)
+@pytest.mark.parametrize("name", ["spring_slider", "drag", "push"])
 def test_bursts_at_one_time_are_refused_in_one_line(name, tmp_path):
     burst = lambda t: t.assign(t_s=t["t_s"].where(t.index % 50 > 20, t["t_s"][0]).cummax())  # noqa: E731
     with pytest.raises(BadInput, match="share their time with another"):
@@ -175,6 +229,11 @@ def scaled(**factors):
         ("drag", scaled(force_mN=0.1), "forces in cN"),
         ("drag", scaled(force_mN=1 / 9.80665), "forces in gf"),
         ("drag", scaled(t_s=1e3), "times in ms"),
+        ("push", scaled(force_x_mN=0.1, force_y_mN=0.1), "forces in cN"),
+        ("push", scaled(force_x_mN=1 / 9.80665, force_y_mN=1 / 9.80665), "forces in gf"),
+        ("push", scaled(force_x_mN=1e-3, force_y_mN=1e-3), "forces in N"),
+        ("push", scaled(t_s=1e3), "times in ms"),
+        ("drop_drag", scaled(t_s=1e3), "times in ms"),
     ],
 )
 @pytest.mark.parametrize("rate", [1, 4])
@@ -202,3 +261,11 @@ def test_faults_of_the_force_cell_are_findings(name, spoil, words, rate, tmp_pat
     assert cell_faults(read_case(MAKERS[name](tmp_path / "clean", samples)))[1:] == ((), [])
     _, findings, _ = cell_faults(read_case(MAKERS[name](tmp_path / "case", samples, spoil)))
     assert [words in finding.quantity for finding in findings] == [True]
+
+
+@pytest.mark.parametrize("samples, hidden", [(2, True), (40, False)])
+def test_a_loading_slope_that_hides_between_two_readings_is_a_finding(samples, hidden, tmp_path):
+    # Recorded from the first slip on, so that no relaxed spring shows its slope either.
+    late = lambda t: t[t["t_s"] > 2.0]  # noqa: E731
+    found = read_features(slider_case(tmp_path / "case", samples, late, 8.0)).findings
+    assert [f.size for f in found if "slope of loading" in f.quantity] == [RUNS] * hidden

@@ -10,6 +10,7 @@ import pandas as pd
 from scipy.signal import find_peaks
 
 from slipstitch.criticise.case import Case
+from slipstitch.criticise.protocols import push
 from slipstitch.criticise.sensors import DataFinding
 from slipstitch.physics import GRAVITY_M_S2
 
@@ -20,7 +21,7 @@ CELLS = {
 }
 USUAL_COEFFICIENT = (0.05, 2.0)  # a slip of units is named if it brings the readings here
 # What a slip of units makes of a loading slope and of the coefficient, and what it would be.
-_OF_FORCES = (
+FORCE_SLIPS = (
     (1e-3, 1e-3, "forces in N, not mN"),
     (0.1, 0.1, "forces in cN, not mN"),
     (1 / GRAVITY_M_S2, 1 / GRAVITY_M_S2, "forces in gf, not mN"),
@@ -28,7 +29,7 @@ _OF_FORCES = (
 )
 SLIPS = {
     "spring_slider": (
-        *_OF_FORCES,
+        *FORCE_SLIPS,
         (1e-3, 1.0, "times in ms"),
         (60.0, 1.0, "times in minutes"),
         (1 / 60, 1.0, "speed_mm_s in mm/min"),
@@ -37,13 +38,15 @@ SLIPS = {
         (1e3, 1.0, "spring_N_m in N/mm"),
         (100.0, 1.0, "spring_N_m in N/cm"),
     ),
-    "drag": (*_OF_FORCES, (1e3, 1.0, "x_stage_mm in m"), (10.0, 1.0, "x_stage_mm in cm")),
+    "drag": (*FORCE_SLIPS, (1e3, 1.0, "x_stage_mm in m"), (10.0, 1.0, "x_stage_mm in cm")),
 }
 # Of a clock beside the speed of a stage.
 CLOCK_SLIPS = ((1e-3, "times in ms"), (60.0, "times in minutes"), (1 / 60, "speeds in mm/min"))
 # Nearer to what it should be, a slope is an error of the spring or of the cell's gain.
 LARGEST_SLOPE_FACTOR = 3.0
 NAMED_WITHIN, FEWEST_LOADING, FEWEST_RISES, ALIKE = 0.15, 4, 5, 0.2
+# A block's first peak refutes a unit where the coefficient is as small as this, too.
+SMALL_COEFFICIENT, PEAK_WITHIN = 0.1, 0.7
 # Equal extreme readings, and how many times the next value's: a cell at the end of its range.
 CLIPPED_READINGS, CLIPPED_FACTOR = 10, 5.0
 TARED_SHARE, MAGNITUDE_SHARE = 0.3, 0.3
@@ -62,13 +65,11 @@ def _strokes(traces: pd.DataFrame, stroke: int = 0) -> Iterator[tuple[str, pd.Da
     return iter(traces.groupby("run_id", sort=False))
 
 
-def _slope(x: np.ndarray, force: np.ndarray, low: float, high: float) -> float | None:
-    """Slope between two levels of a rising force; None from too few readings."""
-    on = np.flatnonzero((force > low) & (force < high))
-    on = on[: int(np.argmax(np.diff(on) > 1)) + 1] if (np.diff(on) > 1).any() else on
-    if len(on) < FEWEST_LOADING or np.ptp(x[on]) <= 0:
+def _slope(x: np.ndarray, force: np.ndarray) -> float | None:
+    """Slope of a rising force; None from too few readings."""
+    if len(x) < FEWEST_LOADING or np.ptp(x) <= 0:
         return None
-    return float(np.polyfit(x[on], force[on], 1)[0])
+    return float(np.polyfit(x, force, 1)[0])
 
 
 def loading_slopes(case: Case, name: str) -> tuple[list[float], int]:
@@ -95,7 +96,7 @@ def loading_slopes(case: Case, name: str) -> tuple[list[float], int]:
             top = int(np.argmax(force >= 0.8 * level))
             low = np.flatnonzero(force[:top] <= 0.2 * level)
             first = int(low[-1]) if len(low) else 0
-            slope = _slope(x[first : top + 1], force[first : top + 1], -np.inf, np.inf)
+            slope = _slope(x[first : top + 1], force[first : top + 1])
         elif name == "spring_slider" and len(force) > 8:
             slope = _between_slips(x, force)
         if slope is None:
@@ -115,10 +116,9 @@ def _between_slips(time: np.ndarray, force: np.ndarray) -> float | None:
         later = peaks[peaks > trough]
         if not len(later):
             break
-        rise = slice(trough, later[0] + 1)
-        low, high = force[trough], force[later[0]]
-        margin = 0.2 * (high - low)
-        slope = _slope(time[rise], force[rise], low + margin, high - margin)
+        risen = (force[trough : later[0] + 1] - force[trough]) / (force[later[0]] - force[trough])
+        rise = slice(trough + np.argmax(risen > 0.2), trough + np.argmax(risen > 0.8))
+        slope = _slope(time[rise], force[rise])
         slopes += [] if slope is None else [slope]
     if len(slopes) < FEWEST_RISES:
         return None
@@ -127,8 +127,37 @@ def _between_slips(time: np.ndarray, force: np.ndarray) -> float | None:
     return middle if alike else None
 
 
+def refuted_by_impact(case: Case, coefficient: float) -> list[str]:
+    """Name the unit of a pushed block's force that its first peak refutes, in one line.
+
+    The peak is in the unit of the force, the impact that the finger's stiffness makes in its root.
+    """
+    block = push.features(case.tables, case.nominal, True)
+    if block is None or coefficient > SMALL_COEFFICIENT:
+        return []
+    peaks = (block.rows["quantity"] == push.PEAK).to_numpy()
+    impact_mN = 1e3 * block.impact_force(block.cloth_mass_kg + block.added_mass_kg)[peaks]
+    if not peaks.any():
+        return []
+    share = float(np.median(block.rows["y"].to_numpy(float)[peaks] / impact_mN))
+    likely = [
+        words
+        for unit, of_friction, words in FORCE_SLIPS
+        if share > 0 and unit < 1 and abs(np.log(share**2 / unit)) < PEAK_WITHIN
+        if is_usual(coefficient / of_friction)
+    ]
+    if not likely:
+        return []
+    return [
+        f"push: a friction coefficient of {coefficient:.2g}, and a first peak of {share:.2g} times "
+        f"the impact: {' or '.join(likely)}?"
+    ]
+
+
 def refuted_units(case: Case, name: str, coefficient: float) -> list[str]:
     """Name the units that the loading slope refutes, in one line, if there are any."""
+    if name == "push":
+        return refuted_by_impact(case, coefficient)
     if name not in SLIPS:
         return []
     ratios, _ = loading_slopes(case, name)
@@ -282,6 +311,11 @@ def cell_faults(case: Case) -> tuple[Case, tuple[DataFinding, ...], list[str]]:
             traces = case.tables["drag"]
             out = traces[traces["stroke"] == 0].reset_index(drop=True)
             case = replace(case, tables=case.tables | {"drag": out})
+        if name == "spring_slider":
+            ratios, hidden = loading_slopes(case, name)
+            if not ratios:
+                words = "runs, all with too few readings in a stick to tell the slope of loading"
+                findings.append(_finding(name, f"{words} (gain, units)", hidden))
         if case.tables[name]["t_s"].notna().all() and (finding := drifting(case, name)):
             findings.append(finding)
     return case, tuple(findings), fatal

@@ -13,7 +13,7 @@ import pandas as pd
 
 from slipstitch.base.tables import directions_in_radians, in_radians
 from slipstitch.criticise.case import Case
-from slipstitch.criticise.force_cells import is_usual, refuted_clock, refuted_units
+from slipstitch.criticise.force_cells import FORCE_SLIPS, is_usual, refuted_clock, refuted_units
 from slipstitch.criticise.protocols.strip import foot, largest_weight_number
 from slipstitch.physics import GRAVITY_M_S2
 
@@ -86,6 +86,10 @@ def _of_shapes(tables: Tables, nominal: Nominal) -> np.ndarray:
     return ((np.sign(lifted) * lifted**2 - h**2) / (2 * h * c.clip(lower=1e-3))).to_numpy(float)
 
 
+_MASSES_AND_FORCES = (
+    *((1 / unit, words) for unit, _, words in FORCE_SLIPS if unit < 1),
+    (1e-3, "masses in kg, not g"),
+)
 # Protocol: what is read, its rough coefficients, and what the factor that mends them would mean.
 READINGS: Mapping[str, tuple[str, Callable, tuple[tuple[float, str], ...]]] = {
     "incline": ("the slip angle", _of_angles, ()),
@@ -101,16 +105,8 @@ READINGS: Mapping[str, tuple[str, Callable, tuple[tuple[float, str], ...]]] = {
         ),
     ),
     "drop_drag": ("the length on the floor", _of_shapes, ()),
-    "push": (
-        "the force",
-        _of_pushes,
-        ((1e3, "forces in N, not mN"), (1e-3, "masses in kg, not g")),
-    ),
-    "spring_slider": (
-        "the force",
-        _of_forces("spring_slider"),
-        ((1e3, "forces in N, not mN"), (1e-3, "masses in kg, not g")),
-    ),
+    "push": ("the force", _of_pushes, _MASSES_AND_FORCES),
+    "spring_slider": ("the force", _of_forces("spring_slider"), _MASSES_AND_FORCES),
 }
 
 

@@ -20,6 +20,9 @@ from slipstitch.criticise.sensors import DataFinding
 # noise one in ten million is. So are two or three in a row, not more, if they are twice as far
 # off: friction itself may change that fast.
 GLITCH_NOISES, LONGEST_GLITCH, ROUNDS = 6.0, 3, 3
+# At the ends of a recording, and up to so many in a row, only what lies beyond all that the run
+# reads otherwise by half as much again is a glitch: there, friction may jump.
+LONGEST_BURST, ORDINARY, MARGIN = 30, (0.05, 0.95), 0.5
 # Readings over which noise is taken to be the same.
 NOISE_READINGS = 128
 # More events than this share of the readings, and more than a few a run, are a noise with heavy
@@ -42,8 +45,17 @@ class Signal:
     uncertainty: str
 
 
-def glitches(values: np.ndarray, noise: float) -> np.ndarray:
-    """Return which readings (n,) are glitches of at most three readings.
+def ordinary_range(values: np.ndarray) -> tuple[float, float]:
+    """Return what a run's readings reach, zero included, and half of that further on each side."""
+    low, high = np.quantile(values, ORDINARY) if len(values) else (0.0, 0.0)
+    low, high = min(low, 0.0), max(high, 0.0)
+    return low - MARGIN * (high - low), high + MARGIN * (high - low)
+
+
+def glitches(
+    values: np.ndarray, noise: float, ordinary: tuple[float, float] = (-np.inf, np.inf)
+) -> np.ndarray:
+    """Return which readings (n,) are glitches.
 
     A glitch lies beyond both neighbours on either side and beyond the lines through them: a drop,
     a corner or a peak between two slopes is none, however coarsely it is sampled.
@@ -52,6 +64,8 @@ def glitches(values: np.ndarray, noise: float) -> np.ndarray:
     ----------
     noise : float
         As stated; where the readings themselves tell more, that counts.
+    ordinary : (low, high)
+        Beyond which more than three readings in a row, or the first or last ones, may be glitches.
     """
     found = np.zeros(len(values), bool)
     if len(values) < 8:
@@ -59,7 +73,9 @@ def glitches(values: np.ndarray, noise: float) -> np.ndarray:
     scale = np.maximum(_local_noise(values), noise)
     for _ in range(ROUNDS):  # what a glitch hid
         left = np.flatnonzero(~found)
-        more = _beyond_neighbours(values[left], GLITCH_NOISES * scale[left])
+        threshold = GLITCH_NOISES * scale[left]
+        more = _beyond_neighbours(values[left], threshold)
+        more |= _bursts(values[left], threshold, ordinary)
         if not more.any():
             break
         found[left[more]] = True
@@ -94,6 +110,24 @@ def _beyond_neighbours(values: np.ndarray, threshold: np.ndarray) -> np.ndarray:
         least[[0, -1]] = np.inf  # a stroke may begin with its slip
         for start in np.flatnonzero((beyond > least) & (beyond > 2 * np.abs(r1 - l1))):
             found[start : start + width] = True
+    return found
+
+
+def _bursts(values: np.ndarray, threshold: np.ndarray, ordinary: tuple[float, float]) -> np.ndarray:
+    """Readings in a row beyond the ordinary that begin and end with a jump, or with the file."""
+    found = np.zeros(len(values), bool)
+    beyond = (values < ordinary[0]) | (values > ordinary[1])
+    for start, end in np.flatnonzero(np.diff(np.pad(beyond, 1).astype(int))).reshape(-1, 2):
+        before, after = values[max(start - 2, 0) : start][::-1], values[end : end + 2]
+        around = [level for side in (before, after) if len(side) == 2
+                  for level in (side[0], 2 * side[0] - side[1])]  # fmt: skip
+        if end - start > LONGEST_BURST or not around:
+            continue
+        least = 2 * threshold[start:end].max()
+        if len(before) and len(after):
+            least = max(least, 2 * abs(before[0] - after[0]))
+        own = values[start:end]
+        found[start:end] = np.all((own > max(around) + least) | (own < min(around) - least))
     return found
 
 
@@ -195,7 +229,12 @@ def prepared(
     findings = list(_of_clock(name, counts))
     for signal in signals:
         stated = runs.set_index("run_id")[signal.uncertainty]
-        bad = [_bad(part, signal.column, stated[part["run_id"].iloc[0]]) for part in parts]
+        columns = traces.groupby("run_id")[signal.column]
+        ranges = {run: ordinary_range(own.to_numpy(float)) for run, own in columns}
+        bad = []
+        for part in parts:
+            run = part["run_id"].iloc[0]
+            bad.append(_bad(part, signal.column, stated[run], ranges[run]))
         count, events = (sum(f(b) for b in bad) for f in (np.sum, _events))
         of = sum(map(len, bad))
         if not count or events > max(GLITCHES_AT_MOST * of, GLITCHES_A_RUN * len(runs)):
@@ -209,11 +248,13 @@ def prepared(
     return pd.concat(parts, ignore_index=True), tuple(findings)
 
 
-def _bad(part: pd.DataFrame, column: str, noise: float) -> np.ndarray:
+def _bad(
+    part: pd.DataFrame, column: str, noise: float, ordinary: tuple[float, float]
+) -> np.ndarray:
     """The glitches of a part, (n,)."""
     starts = np.flatnonzero(np.diff(part["recording"].to_numpy())) + 1
     recordings = np.split(part[column].to_numpy(float), starts)
-    return np.concatenate([glitches(recording, noise) for recording in recordings])
+    return np.concatenate([glitches(recording, noise, ordinary) for recording in recordings])
 
 
 def _events(bad: np.ndarray) -> int:

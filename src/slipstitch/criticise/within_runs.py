@@ -218,8 +218,7 @@ def _impact(block: PushBlock) -> dict | None:
     if not peaks.any():
         return None
     level = block.rows["run_id"][peaks].map(levels).to_numpy(float)
-    mass = (block.cloth_mass_kg + block.added_mass_kg)[peaks]
-    alone = 1e3 * block.speed_m_s[peaks] * np.sqrt(block.stiffness_N_m[peaks] * mass)
+    alone = 1e3 * block.impact_force(block.cloth_mass_kg + block.added_mass_kg)[peaks]
     ratio = 1 + block.rows["y"].to_numpy(float)[peaks] / level
     excess = ratio - 1 - alone / level
     sums = pd.Series(excess).groupby(block.rows["specimen_id"][peaks].to_numpy()).mean()

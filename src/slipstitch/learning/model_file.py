@@ -45,7 +45,7 @@ def read_weights(
                 f"{path}: no such file; a model consists of {weights.name} and {card_path.name}"
             )
     try:
-        card = json.loads(card_path.read_text(encoding="utf-8"))
+        card = json.loads(card_path.read_text(encoding="utf-8-sig"))
         known = card["format"]
     except (ValueError, KeyError, TypeError, RecursionError):
         raise Damaged(card_path, "not a model card of Slipstitch") from None

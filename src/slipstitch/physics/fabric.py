@@ -67,7 +67,7 @@ def read_fabric_file(path: str | Path) -> dict[str, Fabric]:
     """
     path = Path(path)
     try:
-        entries = json.loads(path.read_text(encoding="utf-8"))["fabrics"]
+        entries = json.loads(path.read_text(encoding="utf-8-sig"))["fabrics"]
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise BadInput(f"{path}: not a fabric file with a 'fabrics' object ({error})") from None
     return {name: _fabric(path, name, entry) for name, entry in entries.items()}

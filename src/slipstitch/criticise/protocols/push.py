@@ -52,14 +52,17 @@ class PushBlock(Block):
     stiffness_N_m: np.ndarray
     speed_m_s: np.ndarray
 
+    def impact_force(self, mass_kg: np.ndarray) -> np.ndarray:
+        """First peak (features,), N, that the finger makes without a static excess."""
+        return self.speed_m_s * np.sqrt(self.stiffness_N_m * mass_kg)
+
     def predict(self, law, bench):
         mass = self.cloth_mass_kg * (1 + bench.mass_error) + self.added_mass_kg
         load = mass * GRAVITY_M_S2
         moving = law.force_limit(self.in_motion.with_load(load), static=False)
         resting = law.force_limit(self.at_rest.with_load(load), static=True)
         tilt = downhill_rad(bench, self.rows["azimuth_deg"].to_numpy(float))
-        overshoot = self.speed_m_s * np.sqrt(self.stiffness_N_m * mass)
-        peak = np.hypot(np.maximum(resting - moving, 0.0), overshoot)
+        peak = np.hypot(np.maximum(resting - moving, 0.0), self.impact_force(mass))
         is_level = (self.rows["quantity"] == LEVEL).to_numpy()
         return 1e3 * (1 + bench.force_gain) * np.where(is_level, moving - load * np.sin(tilt), peak)
 
