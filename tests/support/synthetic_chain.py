@@ -152,7 +152,7 @@ def _write_render(config: Config, results: Path) -> list[Path]:
             "viewpoint": {"id": view, "name": names[view]},
             "textures": dict(filmed.textures),
             "surroundings": filmed.surroundings.record(),
-            "augmentation": {key: drawn.record() for key, drawn in filmed.camera_effects().items()},
+            "augmentation": {key: asdict(drawn) for key, drawn in filmed.camera_effects().items()},
             **_cameras(config, view, trajectory_path, of_grid[simulation]),
             "smallest_share_of_cloth_in_image": 0.9,
             "trajectory_sha256": {one.stem: file_digest(one) for one in filmed.parents}

@@ -8,7 +8,7 @@ width runs along x: with one odd and one even number of squares there is exactly
 
 import re
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -88,10 +88,6 @@ class Board:
                 f"--dictionary: {dictionary!r} is not an OpenCV dictionary; use e.g. DICT_5X5_100"
             )
         return cls(size, square_mm / 1e3, marker_mm / 1e3, dictionary)
-
-    def record(self) -> dict:
-        """Description of the board for the camera file."""
-        return asdict(self)
 
     def find(self, grey: np.ndarray) -> Sighting | None:
         """The board in a grey image (H, W) uint8, None if it is not there."""

@@ -1,6 +1,7 @@
 """Camera calibration as files: the camera file and the plot of its residuals."""
 
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -97,12 +98,12 @@ def _write(
     started: tuple[float, float],
 ) -> dict:
     """Write a camera file and its record; return the record."""
-    on_floor = stage and stage.place.record()
+    on_floor = stage and asdict(stage.place)
     content = {
         **lens_record(lens),
         "rotation": stage and stage.rotation.tolist(),
         "translation_m": stage and stage.translation_m.tolist(),
-        "board": board and board.record(),
+        "board": board and asdict(board),
         "board_on_floor": on_floor,
     }
     known = calibration_record(lens) if isinstance(lens, Calibration) else {}

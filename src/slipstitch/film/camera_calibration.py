@@ -4,7 +4,7 @@ The model of the lens is OpenCV's (calib3d, "Camera Calibration and 3D Reconstru
 with two focal lengths and a principal point, distortion k1, k2, p1, p2, k3 (Brown 1971).
 """
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -168,10 +168,6 @@ class FloorPlace:
     y_mm: float
     angle_deg: float
     thickness_mm: float
-
-    def record(self) -> dict:
-        """The values as a mapping."""
-        return asdict(self)
 
     def on_stage(self, points_m: np.ndarray) -> np.ndarray:
         """Points of the board (N, 3) in the stage's coordinates; the board's face looks up."""

@@ -111,8 +111,7 @@ def read_captures(
         fields = {title: row[title] for title in row if title != "line"}
         fields["surrogate"] = bool(fields["surrogate"])
         captures.append(Capture(id=f"{pair}_r{row['repeat']:02d}", **fields))
-    _check_no_duplicates(path, rows, captures)
-    _check_pairs_agree(path, rows, captures)
+    _check_rows(path, rows, captures)
     if len({capture.surrogate for capture in captures}) > 1:
         raise BadInput(f"{path}: must not mix surrogate and real captures")
     return captures
@@ -149,30 +148,25 @@ def _fill(row: dict[str, Any], key, known, path, reference) -> None:
         row["mu_ref"], row["mu_ref_error"] = known[key]
 
 
-def _check_no_duplicates(path, rows, captures: list[Capture]) -> None:
-    lines: dict[str, int] = {}
-    digests: dict[str, int] = {}
+def _check_rows(path, rows, captures: list[Capture]) -> None:
+    """Refuse a repeat or a video given twice, and rows of a pair that contradict one another."""
+    seen: dict[Any, int] = {}
+    references: dict[str, tuple[int, tuple]] = {}
     for row, capture in zip(rows, captures, strict=True):
-        if capture.id in lines:
-            raise BadInput(
-                f"{path} line {row['line']}: repeat {capture.repeat} of {capture.material} on "
-                f"{capture.substrate} duplicates line {lines[capture.id]}"
-            )
+        line, pair = row["line"], f"{capture.material} on {capture.substrate}"
         digest = file_digest(capture.video)
-        if digest in digests:
+        if capture.id in seen:
             raise BadInput(
-                f"{path} line {row['line']}, video: the same content as in line {digests[digest]}"
+                f"{path} line {line}: repeat {capture.repeat} of {pair} duplicates line "
+                f"{seen[capture.id]}"
             )
-        lines[capture.id] = digests[digest] = row["line"]
-
-
-def _check_pairs_agree(path, rows, captures: list[Capture]) -> None:
-    first: dict[str, tuple[int, tuple]] = {}
-    for row, capture in zip(rows, captures, strict=True):
+        if digest in seen:
+            raise BadInput(f"{path} line {line}, video: the same content as in line {seen[digest]}")
+        seen[capture.id] = seen[digest] = line
         reference = (capture.mu_ref, capture.mu_ref_error, capture.reflective)
-        line, before = first.setdefault(capture.pair, (row["line"], reference))
+        first, before = references.setdefault(capture.pair, (line, reference))
         if reference != before:
             raise BadInput(
-                f"{path} line {row['line']}: {capture.material} on {capture.substrate} differs "
-                f"in mu_ref, mu_ref_error or reflective from line {line}"
+                f"{path} line {line}: {pair} differs in mu_ref, mu_ref_error or reflective from "
+                f"line {first}"
             )

@@ -21,26 +21,21 @@ from slipstitch.images.camera_file import read_camera_file
 from slipstitch.images.encoding import encode_png
 
 CAPTURES = "captures.parquet"
+_OF_CAPTURE = (
+    *("pair", "material", "substrate", "repeat"),
+    *("mu_ref", "mu_ref_error", "reflective", "surrogate"),
+)
+_OF_VIDEO = ("frame_interval_s", "longest_gap_s", "view_angle_deg")
 CAPTURES_SCHEMA = pa.schema(
     [
-        ("video", pa.string()),
-        ("pair", pa.string()),
-        ("material", pa.string()),
-        ("substrate", pa.string()),
+        *((name, pa.string()) for name in ("video", *_OF_CAPTURE[:3])),
         ("repeat", pa.int32()),
-        ("mu_ref", pa.float64()),
-        ("mu_ref_error", pa.float64()),
-        ("reflective", pa.bool_()),
-        ("surrogate", pa.bool_()),
+        *((name, pa.float64()) for name in ("mu_ref", "mu_ref_error")),
+        *((name, pa.bool_()) for name in ("reflective", "surrogate")),
         ("start_s", pa.float64()),
         ("start_found", pa.bool_()),
-        ("start_residual_m", pa.float64()),
-        ("stage_speed", pa.float64()),
-        ("frame_interval_s", pa.float64()),
-        ("longest_gap_s", pa.float64()),
-        ("view_angle_deg", pa.float64()),
-        ("notes", pa.string()),
-        ("dataset_digest", pa.string()),
+        *((name, pa.float64()) for name in ("start_residual_m", "stage_speed", *_OF_VIDEO)),
+        *((name, pa.string()) for name in ("notes", "dataset_digest")),
     ]
 )
 # No texture and no viewpoint of the catalogue: both are the bench's own.
@@ -171,21 +166,12 @@ def _write_video(
 def _known(capture: Capture, video: StageVideo) -> dict[str, Any]:
     return {
         "video": f"{capture.id}_{_TEXTURE}_{_VIEW}",
-        "pair": capture.pair,
-        "material": capture.material,
-        "substrate": capture.substrate,
-        "repeat": capture.repeat,
-        "mu_ref": capture.mu_ref,
-        "mu_ref_error": capture.mu_ref_error,
-        "reflective": capture.reflective,
-        "surrogate": capture.surrogate,
+        **{name: getattr(capture, name) for name in _OF_CAPTURE},
         "start_s": video.start.time_s,
         "start_found": video.start.found,
         "start_residual_m": video.start.residual_m,
         "stage_speed": video.time_base and video.time_base.rate,
-        "frame_interval_s": video.frame_interval_s,
-        "longest_gap_s": video.longest_gap_s,
-        "view_angle_deg": video.view_angle_deg,
+        **{name: getattr(video, name) for name in _OF_VIDEO},
         "notes": "; ".join(video.notes),
     }
 

@@ -201,19 +201,14 @@ class Recording:
                     end = keys[group + 1] if group + 1 < len(keys) else len(timestamp)
                     within = max(number, min(keys[group] + 2, end - 1))
                     for aim in (within, keys[group], 0):
-                        frames = _frames_from(video, int(timestamp[aim]))
+                        video.seek(int(timestamp[aim]), stream=_stream(video))
+                        frames = _frames(video)
                         frame = _first_from(frames, stamp)
                         if frame is not None and frame.pts == stamp:
                             break
                 last = number
                 if frame is not None and frame.pts == stamp and self._is_whole(frame):
                     yield number, Moment(float(index.time_s[number]), frame)
-
-
-def _frames_from(video: av.container.InputContainer, stamp: int) -> Iterator[av.VideoFrame]:
-    """Frames from a key frame on."""
-    video.seek(stamp, stream=_stream(video))
-    return _frames(video)
 
 
 def _first_from(frames: Iterator[av.VideoFrame], stamp: int) -> av.VideoFrame | None:

@@ -6,6 +6,7 @@ calibrated viewpoint by the function that rectifies real videos, from what a cal
 have told of the camera.
 """
 
+import json
 import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
@@ -53,10 +54,7 @@ class BenchCamera:
 
     def record(self) -> dict[str, Any]:
         """The values as a mapping of plain values."""
-        return asdict(self) | {
-            name: list(getattr(self, name))
-            for name in ("aim_m", "rotation_error_deg", "position_error_m")
-        }
+        return json.loads(json.dumps(asdict(self)))
 
     def pose(
         self, rotation: np.ndarray, translation_m: np.ndarray

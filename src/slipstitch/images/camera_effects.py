@@ -4,7 +4,7 @@ In the order of a camera: exposure and colour cast scale the light; the sensor a
 noise; the image is encoded, and compressed.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -27,10 +27,6 @@ class CameraEffects:
     blue: float = 1.0
     noise: float = 0.0  # standard deviation of the noise at full white, in linear light
     jpeg_quality: int = 100  # 100 for images that are not compressed
-
-    def record(self) -> dict:
-        """The values as a mapping."""
-        return asdict(self)
 
     def light(self, linear: np.ndarray) -> np.ndarray:
         """Linear light (..., 3) as this camera exposes it."""

@@ -2,6 +2,7 @@
 
 import os
 from collections.abc import Iterable, Iterator
+from dataclasses import asdict
 from pathlib import Path
 
 import cv2
@@ -151,7 +152,7 @@ def _description(
     metadata = pack.metadata | {
         "viewpoint": {"id": view.viewpoint_id, "name": view.viewpoint},
         "textures": dict(view.textures),
-        "augmentation": {identity: one.record() for identity, one in effects.items()},
+        "augmentation": {identity: asdict(one) for identity, one in effects.items()},
         "pose": view.rectifier(trajectory).pose(pack.shots[0].camera),
         "marked_points_m": keypoints_record(trajectory, pack.shots),
     }

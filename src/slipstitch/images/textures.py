@@ -283,23 +283,15 @@ def _drawn_weave(x, y, rng):
     return np.where(warp_on_top, np.mod(i, repeat) < half, np.mod(j, repeat) < half).astype(float)
 
 
-_PATTERNS = [
-    _drawn_stripes,
-    _drawn_checks,
-    _drawn_dots,
-    _drawn_zigzag,
-    _drawn_blotches,
-    _drawn_weave,
-]
-
+_PATTERNS = (
+    *(_drawn_stripes, _drawn_checks, _drawn_dots),
+    *(_drawn_zigzag, _drawn_blotches, _drawn_weave),
+)
+# By name; all but a few draw nothing at random.
 _DRAWINGS = {
-    "stripes": _stripes,
-    "checks": _checks,
-    "tartan": _tartan,
-    "dots": _dots,
-    "houndstooth": _houndstooth,
-    "floral": _floral,
-    "denim": _denim,
-    "linen": _linen,
-    "chevron": _chevron,
+    draw.__name__.removeprefix("_"): draw
+    for draw in (
+        *(_stripes, _checks, _tartan, _dots, _houndstooth),
+        *(_floral, _denim, _linen, _chevron),
+    )
 }

@@ -14,7 +14,6 @@ from slipstitch.base.provenance import file_digest
 from slipstitch.config import Config, load_config
 from slipstitch.config.train import REFLECTIVE
 from slipstitch.design.sampled_frames import sampled_frames
-from slipstitch.design.stage_path import StagePath
 from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.measure import SHIPPED
 from slipstitch.film.stage_video import StageVideo, problem_of_view, read_stage_video, seen_shares
@@ -39,28 +38,31 @@ class MeasuredVideo:
     measurement: Prediction
     # half the width of the middle 68 % of the distribution, stretched as its interval is
     uncertainty: float
-    # what identifies the instrument: the digest of its weights, if its card has one
-    instrument: str
-    stage_path: StagePath  # as the instrument's configuration has it
-    without_error_bar: str = ""  # why the interval is the whole grid; empty where it is not
-    caveats: tuple[str, ...] = ()  # what an error bar of the instrument does not cover
-    outside: tuple[str, ...] = ()  # where the camera's pose is outside the training range, in words
-    floors: tuple[str, ...] = ()  # floors of the training
-    # least and largest of each number of the training poses
-    pose_range: dict[str, list[float]] | None = None
+    bench: "MeasuringBench"
     # (frames, points, 2): where the instrument sees the cloth's keypoints in the frames, if it
     # learnt to
     keypoints_px: np.ndarray | None = None
 
     @property
+    def instrument(self) -> str:
+        """What identifies the instrument: the digest of its weights, if its card has one."""
+        return str(self.bench.instrument.card.get("weights_sha256") or "unknown")
+
+    @property
+    def without_error_bar(self) -> str:
+        """Why the interval is the whole grid; empty where it is not."""
+        return self.bench.instrument.without_error_bar
+
+    @property
     def notes(self) -> list[str]:
         """What is to be known of the video and of the instrument."""
-        return [*self.video.notes, *self.caveats]
+        return [*self.video.notes, *self.bench.caveats]
 
     @property
     def alarm_reason(self) -> str:
         """Why the numbers are not reliable: the images, the camera's pose; empty without alarm."""
-        pose = f"{_OUTSIDE}: {'; '.join(self.outside)}" if self.outside else ""
+        outside = self.bench.outside
+        pose = f"{_OUTSIDE}: {'; '.join(outside)}" if outside else ""
         return "; ".join(filter(None, (self.measurement.alarm_reason, pose)))
 
     @property
@@ -173,13 +175,7 @@ class MeasuringBench:
             video,
             measured,
             _half_width(grid, probability) * (factor if math.isfinite(factor) else 1.0),
-            str(self.instrument.card.get("weights_sha256") or "unknown"),
-            self.schedule.path,
-            self.instrument.without_error_bar,
-            self.caveats,
-            self.outside,
-            self.floors,
-            self.pose_range,
+            self,
             self._keypoints_px(video, measured),
         )
 

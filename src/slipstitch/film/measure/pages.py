@@ -5,9 +5,10 @@ from typing import TYPE_CHECKING, Any
 
 import cv2
 import numpy as np
+from matplotlib.figure import Figure
 
 from slipstitch.base.page.figures import new_figure, plain_text, png_uri, styled, svg_element
-from slipstitch.base.page.palette import BLUE, INK, SOFT, VERMILION
+from slipstitch.base.page.palette import BLUE, FRAME, INK, INTERVAL, SOFT, VERMILION
 from slipstitch.base.page.templates import render
 from slipstitch.base.page.wording import number, percent, span
 from slipstitch.film.measure.measuring_bench import MeasuredVideo
@@ -24,7 +25,6 @@ _OF_ONE, _OF_REPEATS = (
 _SIDE = 112  # pixels of a frame on the page
 _DECISIVE = 5
 _RING = tuple(bytes.fromhex(VERMILION.removeprefix("#")))
-_WIDTH, _HEIGHT = 920, 190
 
 
 def _frames(result: MeasuredVideo) -> list[dict]:
@@ -55,7 +55,8 @@ def measurement_page(result: MeasuredVideo, known: dict[str, Any] | None = None)
     known : dict, optional
         Of the example: the true fabric, substrate and friction.
     """
-    measured, video, trained = result.measurement, result.video, result.pose_range
+    measured, video, bench = result.measurement, result.video, result.bench
+    trained = bench.pose_range
     weights = np.asarray(measured.attention_weights, dtype=float)
     frames = _frames(result)
     materials = sorted(measured.material_probabilities.items(), key=lambda item: -item[1])
@@ -71,14 +72,18 @@ def measurement_page(result: MeasuredVideo, known: dict[str, Any] | None = None)
         alarm=result.alarm_reason,
         frames=frames,
         decisive=[frame["time"] for frame in frames if frame["decisive"]],
-        distribution=_distribution(result, known),
+        distribution=svg_element(
+            _distribution(result, known), "Distribution of the friction coefficient"
+        ),
         known=known,
-        timeline=_timeline(result, weights),
+        timeline=svg_element(
+            _timeline(result, weights), "Path of the stage and weight of each frame"
+        ),
         start=video.start,
         video=video,
         instrument=result.instrument[:12],
         poses=[in_words(one, video.pose[one], trained[one]) for one in POSE] if trained else [],
-        floors=result.floors,
+        floors=bench.floors,
         rings=result.keypoints_px is not None,
     )
 
@@ -95,61 +100,37 @@ def _enlarged(image: np.ndarray, keypoints_px: np.ndarray | None) -> str:
     return png_uri(encode_png(large))
 
 
-def _points(x: np.ndarray, y: np.ndarray) -> str:
-    return " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y, strict=True))
+@styled
+def _distribution(result: MeasuredVideo, known: dict[str, Any] | None) -> Figure:
+    """The distribution over friction, its interval and median; the true value of the example."""
+    measured, figure = result.measurement, new_figure(9.2, 1.9)
+    axes = figure.subplots()
+    grid, probability = map(np.asarray, measured.distribution)
+    axes.axvspan(*measured.interval_90, color=INTERVAL, lw=0)
+    axes.fill_between(grid, probability, color=BLUE, alpha=0.55, lw=0)
+    axes.axvline(measured.friction_coefficient, color=INK, lw=1.5)
+    if known:
+        axes.axvline(known["friction"], color=VERMILION, lw=2, ls="--")
+    axes.set(xlim=(grid[0], grid[-1]), ylim=(0, None), yticks=[])
+    axes.spines["left"].set_visible(False)
+    return figure
 
 
-def _distribution(result: MeasuredVideo, known: dict[str, Any] | None) -> dict:
-    """The distribution over friction as the corners of a shape, in a box of 920 x 190."""
-    grid, probability = map(np.asarray, result.measurement.distribution)
-    lowest, highest = float(grid[0]), float(grid[-1])
-
-    def across(mu):
-        return 20 + (np.asarray(mu) - lowest) / (highest - lowest) * (_WIDTH - 40)
-
-    height = _HEIGHT - 30 - probability / probability.max() * (_HEIGHT - 55)
-    x = across(grid)
-    shape = _points(
-        np.concatenate([x[:1], x, x[-1:]]), np.concatenate([[_HEIGHT - 30], height, [_HEIGHT - 30]])
-    )
-    ticks = [t for t in np.arange(0, highest + 1e-9, 0.1 if highest < 1.2 else 0.2) if t >= lowest]
-    low, high = across(result.measurement.interval_90)
-    return {
-        "shape": shape,
-        "true": f"{across(known['friction']):.1f}" if known else None,
-        "median": f"{across(result.measurement.friction_coefficient):.1f}",
-        "low": f"{low:.1f}",
-        "width": f"{max(high - low, 1.0):.1f}",
-        "ticks": [(f"{across(tick):.1f}", f"{tick:.1f}") for tick in ticks],
-    }
-
-
-def _timeline(result: MeasuredVideo, weights: np.ndarray) -> dict:
-    """The stage's path over time, and one disc per frame as large as its weight."""
-    path, video = result.stage_path, result.video
-    end_s = float(video.time_s[-1]) or 1.0
-
-    def across(time_s):
-        return 20 + np.asarray(time_s) / end_s * (_WIDTH - 40)
-
-    time_s = np.linspace(0, end_s, 400)
-    x_m, z_m = path.position_m(time_s)
-    at_m, _ = path.position_m(np.maximum(video.time_s, 0))
-
-    def up(place_m):
-        return _HEIGHT - 35 - np.asarray(place_m) / path.stroke_m * (_HEIGHT - 60)
-
-    radius = 14 * np.sqrt(weights / max(weights.max(), 1e-9))
-    step = 10 if end_s > 60 else 5
-    return {
-        "x": _points(across(time_s), up(x_m)),
-        "z": _points(across(time_s), up(z_m)),
-        "discs": [
-            (f"{a:.1f}", f"{b:.1f}", f"{max(r, 1.0):.1f}")
-            for a, b, r in zip(across(np.maximum(video.time_s, 0)), up(at_m), radius, strict=True)
-        ],
-        "ticks": [(f"{across(t):.1f}", f"{t:g}") for t in np.arange(0, end_s + 1e-9, step)],
-    }
+@styled
+def _timeline(result: MeasuredVideo, weights: np.ndarray) -> Figure:
+    """The stage's path over time, and one disc per frame whose area is its weight."""
+    path, seen_s = result.bench.schedule.path, np.maximum(result.video.time_s, 0)
+    figure = new_figure(9.2, 1.9)
+    axes = figure.subplots()
+    time_s = np.linspace(0, seen_s[-1] or 1.0, 400)
+    for place_m, colour in zip(path.position_m(time_s), (INK, FRAME), strict=True):
+        axes.plot(time_s, place_m, color=colour, lw=1.5)
+    areas = np.maximum(400 * weights / max(weights.max(), 1e-9), 3)
+    axes.scatter(seen_s, path.position_m(seen_s)[0], areas, VERMILION, alpha=0.6, linewidths=0)
+    axes.margins(y=0.15)
+    axes.set(yticks=[])
+    axes.spines["left"].set_visible(False)
+    return figure
 
 
 def repeats_page(pair: "MeasuredPair") -> str:
