@@ -158,29 +158,38 @@ def bench(tmp_path_factory):
     return folder
 
 
-def captured(bench, name, surrogate):
-    """Ingest two pairs with two repeats each, and evaluate."""
+def ingested(bench, kind):
+    """A dataset of two pairs with two repeats each, surrogates or real ones, made once."""
+    dataset = bench / kind
+    if dataset.exists():
+        return dataset
     columns = "video,material,substrate,repeat,mu_ref,mu_ref_error,reflective,camera,start_s"
     rows = [
         f"{k}.mp4,{('gray-interlock', 'our tweed')[k // 2]},glass,{k % 2},0.4,0.02,"
-        f"{('no', 'yes')[k // 2]},camera.json,0.5,{surrogate}"
+        f"{('no', 'yes')[k // 2]},camera.json,0.5,{'yes' if kind == 'surrogates' else 'no'}"
         for k in range(4)
     ]
-    table = bench / f"{name}.csv"
+    table = bench / f"{kind}.csv"
     table.write_text("\n".join([columns + ",surrogate", *rows]) + "\n")
     config = ["--config", str(bench / "config.json")]
-    dataset, out = bench / name, bench / f"{name}_out"
     assert main(["capture", "ingest", str(table), *config, "--out-dir", str(dataset)]) == 0
+    return dataset
+
+
+def captured(bench, kind):
+    """Evaluate such a dataset; the folder of the results."""
+    dataset, out = ingested(bench, kind), bench / f"{kind}_out"
     files = {key: str(out / f"{key}.{end}") for key, end in
              (("out", "json"), ("predictions", "parquet"), ("page", "html"))}  # fmt: skip
     words = ["--models", str(bench / "train"), "--instruments", str(bench / "instrument")]
     words += [word for key, path in files.items() for word in (f"--{key}", path)]
-    assert main(["evaluate", "--captures", *config, "--dataset", str(dataset), *words]) == 0
+    words += ["--config", str(bench / "config.json"), "--dataset", str(dataset)]
+    assert main(["evaluate", "--captures", *words]) == 0
     return out
 
 
 def test_captures_go_through_all_networks(bench, capsys):
-    out = captured(bench, "surrogates", "yes")
+    out = captured(bench, "surrogates")
     said = capsys.readouterr().out
     assert "surrogate_reflective   lrcn_conditional, trained by_video" in said
     metrics = json.loads((out / "out.json").read_text())
@@ -208,10 +217,9 @@ def test_captures_go_through_all_networks(bench, capsys):
 
 
 def evaluated(bench, out, instruments, **which):
-    captured(bench, "left", "yes")
     return write_captures_evaluation(
         EvaluateSettings(),
-        bench / "left",
+        ingested(bench, "surrogates"),
         Trained(bench / "train", instruments, **which),
         out / "metrics.json",
         out / "predictions.parquet",
@@ -246,7 +254,7 @@ def test_models_of_different_datasets_do_not_stand_beside_one_another(bench, tmp
 
 
 def test_surrogates_are_named_so_and_real_ones_so(bench):
-    page = (captured(bench, "real", "no") / "page.html").read_text()
+    page = (captured(bench, "real") / "page.html").read_text()
     assert ' class="first">Real captures: videos of a bench' in page
     assert "urrogate" not in page
 
@@ -260,8 +268,7 @@ def test_surrogates_are_named_so_and_real_ones_so(bench):
     ],
 )
 def test_bad_use_is_one_line(bench, capsys, words, problem):
-    captured(bench, "used", "yes")
-    capsys.readouterr()
-    files = ["--dataset", str(bench / "used"), "--out", "x.json", "--predictions", "x.parquet"]
+    dataset = ingested(bench, "surrogates")
+    files = ["--dataset", str(dataset), "--out", "x.json", "--predictions", "x.parquet"]
     config = ["--config", str(bench / "config.json")]
     assert problem in refused(capsys, ["evaluate", "--captures", *config, *files, *words])

@@ -86,7 +86,7 @@ def capture() -> None:
 @option("--picture", type=PICTURE, help="the residuals (PNG or SVG)")
 def camera(arguments: Arguments) -> None:
     """Calibrate, write the camera file and the picture, print the result in one line."""
-    from slipstitch.film.calibration_files import calibrate_to_file, import_to_file
+    from slipstitch.film.calibration_files import camera_to_file
     from slipstitch.film.camera_calibration import FloorPlace
 
     for name, most in (("place_mm", 10_000), ("angle_deg", 360), ("thickness_mm", 1000)):
@@ -104,12 +104,9 @@ def camera(arguments: Arguments) -> None:
     board = _board(arguments)
     x_mm, y_mm = arguments.place_mm or (0.0, 0.0)
     place = FloorPlace(x_mm, y_mm, arguments.angle_deg or 0.0, arguments.thickness_mm or 0.0)
-    stage_view, out, views = arguments.stage_view, arguments.out, list(arguments.views)
-    if board and views:
-        line = calibrate_to_file(board, views, stage_view, place, out, arguments.picture)
-    else:
-        line = import_to_file(arguments.source, board, stage_view, place, out)
-    print(f"{arguments.out}: {line}")
+    source, out = arguments.source or list(arguments.views), arguments.out
+    line = camera_to_file(source, board, arguments.stage_view, place, out, arguments.picture)
+    print(f"{out}: {line}")
 
 
 def _board(arguments: Arguments):

@@ -14,110 +14,76 @@ from slipstitch.film.board_views import read_image, read_views
 from slipstitch.film.camera_calibration import (
     Calibration,
     FloorPlace,
-    StagePose,
     calibrate,
     calibration_record,
     stage_pose,
 )
-from slipstitch.images.camera import Lens
 from slipstitch.images.camera_file import lens_record, read_foreign_lens, write_camera_file
 
 _ARROW_SHARE = 0.04  # of the image's width, for a residual at the 95th percentile
 
 
-def calibrate_to_file(
-    board: Board,
-    views: Sequence[Path],
+def camera_to_file(
+    source: Path | Sequence[Path],
+    board: Board | None,
     stage_view: Path | None,
     place: FloorPlace,
     out: Path,
     picture: Path | None,
 ) -> str:
-    """Calibrate a camera, write what is asked for, and say in a line how good it is.
+    """Write the camera file of a lens at its place, and say in a line what was found.
 
     Parameters
     ----------
-    views : sequence of path
-        Images of the board, or one video.
+    source : path, or sequence of path
+        Another program's calibration; or images of the board, or one video of it.
     stage_view : path, optional
-        The board on the floor, seen by the camera in its place on the bench.
+        The board on the floor, seen by the camera in its place on the bench; without it, the file
+        does not say where the camera stands.
     place : FloorPlace
         Where the board lies then.
-    out : path
-        Camera file.
     picture : path, optional
-        PNG or SVG.
+        Of the residuals of a calibration, PNG or SVG.
 
     Raises
     ------
     BadInput
-        If the views cannot be used.
+        If the source or the stage view cannot be used.
     """
     started = start_clock()
-    result = calibrate(read_views(views, board))
-    stage = _stage(result, board, stage_view, place)
-    record = _write(out, result, board, stage, [*views, stage_view], started)
-    if picture:
-        with recorded_path(picture, record) as temporary:
-            draw_residuals(result, temporary, picture.suffix[1:])
-    return f"{result.summary()}{stage.summary() if stage else ''}"
-
-
-def import_to_file(
-    source: Path, board: Board | None, stage_view: Path | None, place: FloorPlace, out: Path
-) -> str:
-    """Take a lens from another program's calibration, write a camera file, say what was read.
-
-    As `calibrate_to_file`; without a stage view, the file does not say where the camera stands.
-    """
-    started = start_clock()
-    lens = read_foreign_lens(source)
-    stage = _stage(lens, board, stage_view, place)
-    _write(out, lens, board, stage, [source, stage_view], started)
-    focal_x, focal_y = lens.matrix[0, 0], lens.matrix[1, 1]
-    return (
-        f"lens of {source}: {lens.size_px[0]}x{lens.size_px[1]} pixels, focal length "
-        f"{focal_x:.1f} x {focal_y:.1f} px{stage.summary() if stage else ''}"
-    )
-
-
-def _stage(
-    lens: Lens, board: Board | None, stage_view: Path | None, place: FloorPlace
-) -> StagePose | None:
-    if stage_view is None or board is None:
-        return None
-    return stage_pose(lens, read_image(stage_view), board, place, str(stage_view))
-
-
-def _write(
-    out: Path,
-    lens: Lens,
-    board: Board | None,
-    stage: StagePose | None,
-    inputs: Sequence[Path | None],
-    started: tuple[float, float],
-) -> dict:
-    """Write a camera file and its record; return the record."""
-    on_floor = stage and asdict(stage.place)
+    if isinstance(source, Path):
+        lens, inputs, known = read_foreign_lens(source), [source], {}
+        columns, rows = lens.size_px
+        line = (
+            f"lens of {source}: {columns}x{rows} pixels, focal length {lens.matrix[0, 0]:.1f} x "
+            f"{lens.matrix[1, 1]:.1f} px"
+        )
+    else:
+        lens = calibrate(read_views(source, board))
+        inputs, known, line = list(source), calibration_record(lens), lens.summary()
+    stage = None
+    if stage_view is not None and board is not None:
+        stage = stage_pose(lens, read_image(stage_view), board, place, str(stage_view))
+        inputs.append(stage_view)
+        line += stage.summary()
+    known.setdefault("uncertainty", {})["position_m"] = stage and stage.position_uncertainty_m
+    known.setdefault("reprojection_error_px", {})["stage_view"] = stage and stage.rms_px
+    on_floor = {"board": board and asdict(board), "place": stage and asdict(stage.place)}
     content = {
         **lens_record(lens),
         "rotation": stage and stage.rotation.tolist(),
         "translation_m": stage and stage.translation_m.tolist(),
-        "board": board and asdict(board),
-        "board_on_floor": on_floor,
+        "board": on_floor["board"],
+        "board_on_floor": on_floor["place"],
+        **known,
     }
-    known = calibration_record(lens) if isinstance(lens, Calibration) else {}
-    known.setdefault("uncertainty", {})["position_m"] = stage and stage.position_uncertainty_m
-    known.setdefault("reprojection_error_px", {})["stage_view"] = stage and stage.rms_px
-    record = provenance_record(
-        "capture",
-        inputs=list(filter(None, inputs)),
-        config={"board": content["board"], "place": on_floor},
-        started=started,
-    )
-    write_camera_file(out, content | known)
+    record = provenance_record("capture", inputs=inputs, config=on_floor, started=started)
+    write_camera_file(out, content)
     write_sidecar(out, record)
-    return record
+    if picture:
+        with recorded_path(picture, record) as temporary:
+            draw_residuals(lens, temporary, picture.suffix[1:])
+    return line
 
 
 def draw_residuals(result: Calibration, path: Path, kind: str) -> None:
