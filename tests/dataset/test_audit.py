@@ -536,9 +536,14 @@ def test_older_sources_are_not_compared(forger, monkeypatch):
 
     commit = {"git_commit": "ab" * 20, "git_dirty": False, "code_digest": "0" * 64}
     forger.edit_records("*", lambda one: (one["provenance"] or {}).update(commit))
-    forger.edit_records(  # a key of then that is a constant now
-        "simulate/*", lambda one: one["provenance"]["config"]["simulation"].update(former=1)
-    )
+
+    def of_then(one):  # keys that are constants now
+        config = one["provenance"]["config"]
+        config.get("simulation", {}).update(former=1)
+        config.get("render", {}).get("bench_camera", {}).update(former=1)
+
+    forger.edit_records("simulate/*", of_then)
+    forger.edit_records("render/*", of_then)
     (forger.release / "code/src/slipstitch/dataset").rename(forger.release / "code/src/sample")
     forger.reseal()
     monkeypatch.setattr(staleness, "_extract", older)

@@ -158,10 +158,15 @@ def config_changes(
         if section in now and isinstance(value, Mapping) == isinstance(now[section], Mapping):
             of_others = section == "render" and ONE_VIEW in recorded
             skip = NO_INPUT | (NOT_IN_A_SHARD if of_others else frozenset())
-            if isinstance(value, Mapping):  # keys of before have become part of the code
-                skip |= set(value) - set(now[section])
-            changes += _differences(section, value, now[section], skip)
+            changes += _differences(section, _of_today(value, now[section]), now[section], skip)
     return changes
+
+
+def _of_today(then: Any, now: Any) -> Any:
+    """Recorded settings without keys of before, which have become part of the code."""
+    if not (isinstance(then, Mapping) and isinstance(now, Mapping)):
+        return then
+    return {key: _of_today(value, now[key]) for key, value in then.items() if key in now}
 
 
 def calibrated_simulation(
