@@ -18,6 +18,7 @@ from slipstitch.film.camera_calibration import (
     calibration_record,
     stage_pose,
 )
+from slipstitch.images.camera import Lens
 from slipstitch.images.camera_file import lens_record, read_foreign_lens, write_camera_file
 
 _ARROW_SHARE = 0.04  # of the image's width, for a residual at the 95th percentile
@@ -51,16 +52,19 @@ def camera_to_file(
         If the source or the stage view cannot be used.
     """
     started = start_clock()
+    lens: Lens
+    known: dict = {}
     if isinstance(source, Path):
-        lens, inputs, known = read_foreign_lens(source), [source], {}
+        lens, inputs = read_foreign_lens(source), [source]
         columns, rows = lens.size_px
         line = (
             f"lens of {source}: {columns}x{rows} pixels, focal length {lens.matrix[0, 0]:.1f} x "
             f"{lens.matrix[1, 1]:.1f} px"
         )
     else:
-        lens = calibrate(read_views(source, board))
-        inputs, known, line = list(source), calibration_record(lens), lens.summary()
+        assert board is not None
+        lens = found = calibrate(read_views(source, board))
+        inputs, known, line = list(source), calibration_record(found), found.summary()
     stage = None
     if stage_view is not None and board is not None:
         stage = stage_pose(lens, read_image(stage_view), board, place, str(stage_view))
@@ -80,7 +84,7 @@ def camera_to_file(
     record = provenance_record("capture", inputs=inputs, config=on_floor, started=started)
     write_camera_file(out, content)
     write_sidecar(out, record)
-    if picture:
+    if picture and isinstance(lens, Calibration):
         with recorded_path(picture, record) as temporary:
             draw_residuals(lens, temporary, picture.suffix[1:])
     return line

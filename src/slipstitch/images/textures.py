@@ -6,6 +6,7 @@ repeat nothing finer than about 4 mm, which the images can still resolve.
 """
 
 import colorsys
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 
@@ -283,7 +284,7 @@ def _drawn_weave(x, y, rng):
     return np.where(warp_on_top, np.mod(i, repeat) < half, np.mod(j, repeat) < half).astype(float)
 
 
-_PATTERNS = (
+_PATTERNS: tuple[Callable, ...] = (
     *(_drawn_stripes, _drawn_checks, _drawn_dots),
     *(_drawn_zigzag, _drawn_blotches, _drawn_weave),
 )
