@@ -14,7 +14,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from support import synthetic_chain
-from support.forger import Forger
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import attach_metadata, file_digest, write_parquet
@@ -43,19 +42,6 @@ ROOT = Path(__file__).parents[2]
 CONFIG = synthetic_chain.config()
 CLIP = "m05_f0300_r00_t00_v00"
 OF_SIMULATION = {f"m05_f0300_r00_t0{t}_v0{v}" for t in range(3) for v in range(3)}
-
-
-@pytest.fixture(scope="module")
-def original(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("audit")
-    results = synthetic_chain.write(CONFIG, folder)
-    write_release(CONFIG, results, folder / "release", ROOT)
-    return folder / "release"
-
-
-@pytest.fixture
-def forger(original, tmp_path):
-    return Forger(original, tmp_path / "release")
 
 
 @pytest.fixture

@@ -14,36 +14,21 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from support import synthetic_chain
 from support.forger import Forger
 
 from slipstitch.dataset.images import DATASET_SCHEMA
-from slipstitch.dataset.release.assembly import write_release
 from slipstitch.dataset.release.checksums import SUMS
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).parents[2]
-CONFIG = synthetic_chain.config(
-    grid={"materials": ["gray-interlock"], "frictions": [0.1, 0.3], "replicates": 2},
-    render={"pixels": 16, "viewpoints": ["calibrated"], "textures": ["stripes", "tartan"]},
-)
 # Importing the libraries takes most of both.
 # Of a quiet machine 2 s are wanted; beyond 20 it hangs, however busy the machine is.
 CPU_S, RSS_BYTES = 20.0, 2**30
 
 
-@pytest.fixture(scope="module")
-def original(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("hostile")
-    results = synthetic_chain.write(CONFIG, folder)
-    write_release(CONFIG, results, folder / "release", ROOT)
-    return folder / "release"
-
-
 @pytest.fixture
-def forger(original, tmp_path):
-    return Forger(original, tmp_path / "release")
+def forger(signed, tmp_path):
+    return Forger(signed[0], tmp_path / "release")
 
 
 @pytest.fixture

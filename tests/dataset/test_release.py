@@ -45,16 +45,9 @@ ROOT = Path(__file__).parents[2]
 CONFIG = synthetic_chain.config()
 
 
-@pytest.fixture(scope="module")
-def results(tmp_path_factory):
-    return synthetic_chain.write(CONFIG, tmp_path_factory.mktemp("chain"))
-
-
-@pytest.fixture(scope="module")
-def release(results, tmp_path_factory):
-    out = tmp_path_factory.mktemp("release") / "release"
-    write_release(CONFIG, results, out, ROOT)
-    return out
+@pytest.fixture(scope="session")
+def release(original):
+    return original
 
 
 @pytest.fixture(scope="module")

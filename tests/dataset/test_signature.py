@@ -1,48 +1,16 @@
 """Only a signature, or a digest from the publisher, tells a release of a forger."""
 
 import shutil
-import subprocess
 from pathlib import Path
 
 import pytest
-from support import synthetic_chain
 from support.forger import Forger
 
 from slipstitch.cli.main import main
 from slipstitch.dataset.audit.auditing import audit_release
 from slipstitch.dataset.audit.contents import read_contents
 from slipstitch.dataset.audit.findings import NO_FORGER
-from slipstitch.dataset.release.assembly import write_release
 from slipstitch.dataset.release.checksums import verify
-
-ROOT = Path(__file__).parents[2]
-CONFIG = synthetic_chain.config(
-    grid={
-        "materials": ["gray-interlock", "ivory-rib-knit"],
-        "frictions": [0.1, 0.3],
-        "replicates": 2,
-    },
-    render={
-        "pixels": 16,
-        "viewpoints": ["calibrated"],
-        "textures": ["stripes", "tartan"],
-        "floors": ["matte", "ceramic"],
-    },
-)
-
-
-@pytest.fixture(scope="module")
-def original(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("signature")
-    results = synthetic_chain.write(CONFIG, folder)
-    write_release(CONFIG, results, folder / "release", ROOT, new_key(folder))
-    return folder / "release"
-
-
-def new_key(folder: Path) -> Path:
-    key = folder / "key"
-    subprocess.run(["ssh-keygen", "-q", "-t", "ed25519", "-N", "", "-f", str(key)], check=True)
-    return key
 
 
 def signers(folder: Path, key: Path) -> Path:
@@ -51,7 +19,8 @@ def signers(folder: Path, key: Path) -> Path:
     return path
 
 
-def test_only_a_signature_or_a_digest_from_elsewhere_tells_a_forger(original, tmp_path):
+def test_only_a_signature_or_a_digest_from_elsewhere_tells_a_forger(signed, tmp_path):
+    original, key = signed
     forger = Forger(original, tmp_path / "release")
     forger.edit_records(
         "simulate/*", lambda one: one["metadata"]["solver"].update(largest_residual=4.1e-4)
@@ -63,20 +32,22 @@ def test_only_a_signature_or_a_digest_from_elsewhere_tells_a_forger(original, tm
     audit = audit_release(forger.release, expected=published)
     assert [finding.where for finding in audit.findings] == ["SHA256SUMS"]
     assert NO_FORGER not in audit.notes
-    believed = signers(tmp_path, original.parent / "key")
+    believed = signers(tmp_path, key)
     audit = audit_release(forger.release, signers=believed)
     assert [finding.where for finding in audit.findings] == ["SHA256SUMS.sig"]
     assert len(audit.findings[0].clips) == len(audit.clips)
 
 
-def test_signature_says_who_vouches(original, tmp_path, capsys):
-    believed = signers(tmp_path, original.parent / "key")
+def test_signature_says_who_vouches(signed, tmp_path, capsys):
+    original, key = signed
+    believed = signers(tmp_path, key)
     assert main(["audit", str(original), "--verify", str(believed)]) == 0
     assert "signed by jane@example.org" in capsys.readouterr().out
 
 
-def test_a_stranger_s_signature_and_none_are_refused(original, tmp_path):
-    signer, problem = verify(original, signers(tmp_path, new_key(tmp_path)))
+def test_a_stranger_s_signature_and_none_are_refused(signed, new_key, tmp_path):
+    original = signed[0]
+    signer, problem = verify(original, signers(tmp_path, new_key()))
     assert signer is None
     assert "not signed by any of the signers" in problem
     release = Path(shutil.copytree(original, tmp_path / "release"))
@@ -87,7 +58,8 @@ def test_a_stranger_s_signature_and_none_are_refused(original, tmp_path):
 
 
 @pytest.mark.parametrize("words", [["--sign", "none"], ["--verify", "none"]])
-def test_without_key_signers_or_tool_is_one_line(original, capsys, monkeypatch, words):
+def test_without_key_signers_or_tool_is_one_line(signed, capsys, monkeypatch, words):
+    original = signed[0]
     config = ["--config", str(original.parent / "results/config.json")]
     out = ["--results", str(original.parent / "results"), "--out-dir", "mine"]
     command = ["release", *config, *out] if words[0] == "--sign" else ["audit", str(original)]

@@ -50,6 +50,12 @@ def run(tmp_path_factory):
     return folder
 
 
+@pytest.fixture
+def results(run, tmp_path):
+    """A copy of the run that a test may alter."""
+    return Path(shutil.copytree(run, tmp_path / "results"))
+
+
 def train(weights, content=None):
     """Weights with their card, curve and records."""
     weights.parent.mkdir(parents=True, exist_ok=True)
@@ -129,12 +135,10 @@ def test_the_table_of_simulations_says_what_the_study_knows_of_each_now(run, tmp
         assert said[one.id] == wanted
 
 
-def test_an_unfinished_run_is_refused_and_marked_if_wanted(run, tmp_path, capsys):
-    part = tmp_path / "results"
-    shutil.copytree(run, part)
-    (part / "evaluate" / "details.json").unlink()
+def test_an_unfinished_run_is_refused_and_marked_if_wanted(results, tmp_path, capsys):
+    (results / "evaluate" / "details.json").unlink()
     write_config(CONFIG, tmp_path / "config.json")
-    words = ["publish", "--config", str(tmp_path / "config.json"), "--results", str(part)]
+    words = ["publish", "--config", str(tmp_path / "config.json"), "--results", str(results)]
     words += ["--out-dir", str(tmp_path / "out")]
     assert main(words) == 2
     said = capsys.readouterr().err
@@ -200,24 +204,22 @@ def _text(path):
         ("calibrate/calibration.json", _with_another_byte, "does not match its record"),
     ],
 )
-def test_a_damaged_file_is_not_published(run, tmp_path, name, damage, why):
-    results = tmp_path / "results"
-    shutil.copytree(run, results)
+def test_a_damaged_file_is_not_published(results, tmp_path, name, damage, why):
     damage(results / name)
     with pytest.raises(BadInput, match=why) as refused:
         publish(CONFIG, results, tmp_path / "out")
     assert name in str(refused.value) and not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("name", SCORES)
 @pytest.mark.parametrize(
-    "other",
-    [WEIGHTS, "instrument/by_video/seed0/instrument.safetensors", "sample/manifest.parquet"],
+    ("name", "other"),
+    [
+        ("metrics.json", WEIGHTS),
+        ("details.json", "instrument/by_video/seed0/instrument.safetensors"),
+        ("predictions.parquet", "sample/manifest.parquet"),
+    ],
 )
-@pytest.mark.parametrize("partial", [False, True])
-def test_scores_of_another_model_or_dataset_are_refused(run, tmp_path, name, other, partial):
-    results = tmp_path / "results"
-    shutil.copytree(run, results)
+def test_scores_of_another_model_or_dataset_are_refused(run, results, tmp_path, name, other):
     if other.endswith(".parquet"):
         table = pq.read_table(results / other)
         write_parquet(table, results / other, {"made": "again"})
@@ -227,27 +229,26 @@ def test_scores_of_another_model_or_dataset_are_refused(run, tmp_path, name, oth
     for older in (run / "evaluate").glob(f"{name}*"):
         shutil.copyfile(older, results / "evaluate" / older.name)
     why = f"{name}: scores of another [^ ]*{other} than is there; run slipstitch evaluate again"
-    with pytest.raises(BadInput, match=why):
-        publish(CONFIG, results, tmp_path / "out", partial)
+    for partial in (False, True):
+        with pytest.raises(BadInput, match=why):
+            publish(CONFIG, results, tmp_path / "out", partial)
     assert not (tmp_path / "out").exists()
 
 
-@pytest.mark.parametrize("name", SCORES)
-def test_scores_without_a_record_are_refused(run, tmp_path, name):
-    results = tmp_path / "results"
-    shutil.copytree(run, results)
-    path = results / "evaluate" / name
-    if name.endswith(".parquet"):
-        pq.write_table(pq.read_table(path).replace_schema_metadata(None), path)
-    else:
-        path.with_name(f"{name}.provenance.json").unlink()
-    with pytest.raises(BadInput, match=f"{name}: has no record of what was evaluated"):
+def test_scores_without_a_record_are_refused(results, tmp_path):
+    path = results / "evaluate/predictions.parquet"
+    pq.write_table(pq.read_table(path).replace_schema_metadata(None), path)
+    with pytest.raises(
+        BadInput, match=r"predictions\.parquet: has no record of what was evaluated"
+    ):
+        publish(CONFIG, results, tmp_path / "out", partial=True)
+    (results / "evaluate/metrics.json.provenance.json").unlink()
+    with pytest.raises(BadInput, match=r"metrics\.json: has no record of what was evaluated"):
         publish(CONFIG, results, tmp_path / "out", partial=True)
 
 
-def test_models_trained_after_the_evaluation_are_refused_or_said_to_have_no_scores(run, tmp_path):
-    results, out = tmp_path / "results", tmp_path / "out"
-    shutil.copytree(run, results)
+def test_models_trained_after_the_evaluation_are_refused_or_have_no_scores(results, tmp_path):
+    out = tmp_path / "out"
     evaluate(results, without=[results / WEIGHTS])
     model = WEIGHTS.replace("train/", "models/")
     with pytest.raises(BadInput, match=f"not include {model}; run slipstitch evaluate again"):
@@ -290,28 +291,17 @@ def test_only_a_folder_that_was_published_before_is_replaced(run, tmp_path):
     assert _contents(tmp_path) == before
 
 
-@pytest.mark.parametrize(
-    ("place", "why"),
-    [
-        (".", "contains the results"),
-        ("..", "contains the results"),
-        ("train", "part of the results"),
-        ("evaluate/published", "part of the results"),
-        ("benchmarks", "part of the results"),
-        ("criticise", "part of the results"),
-    ],
-)
-@pytest.mark.parametrize("partial", [False, True])
-def test_nothing_is_published_in_the_place_of_results(run, tmp_path, place, why, partial):
+def test_nothing_is_published_in_the_place_of_results(results, tmp_path):
     """Not even where a stage has not run yet, or where somebody has put an index."""
-    results = tmp_path / "results"
-    shutil.copytree(run, results)
     shutil.rmtree(results / "criticise")
     for folder in (tmp_path, results, results / "train"):
         (folder / INDEX).write_text('{"files": {}}')
     before = _contents(tmp_path)
-    with pytest.raises(BadInput, match=why):
-        publish(CONFIG, results, results / place, partial)
+    part = dict.fromkeys(("train", "evaluate/published", "benchmarks", "criticise"), "part of the")
+    for place, why in {".": "contains the", "..": "contains the", **part}.items():
+        for partial in (False, True):
+            with pytest.raises(BadInput, match=f"{why} results"):
+                publish(CONFIG, results, results / place, partial)
     assert _contents(tmp_path) == before
     assert publish(CONFIG, results, results / "published" / "paper")["files"]
 
@@ -386,7 +376,7 @@ def test_a_dataset_that_also_calibrates_is_published_beside_the_run_s_own(run, t
     assert (place / "manifest.parquet").is_file()
 
 
-def test_an_update_of_another_run_is_refused(run, tmp_path):
+def test_an_update_of_another_run_is_refused(run, results, tmp_path):
     out = tmp_path / "out"
     with pytest.raises(BadInput, match="nothing published there to update"):
         publish(CONFIG, run, out, update=True)
@@ -395,8 +385,6 @@ def test_an_update_of_another_run_is_refused(run, tmp_path):
     other = CONFIG.model_copy(update={"seed": CONFIG.seed + 1})
     with pytest.raises(BadInput, match="published with another configuration"):
         publish(other, run, out, update=True)
-    results = tmp_path / "results"
-    shutil.copytree(run, results)
     table = pq.read_table(results / "sample/manifest.parquet")
     write_parquet(table, results / "sample/manifest.parquet", {"made": "again"})
     with pytest.raises(BadInput, match="published of another dataset"):
