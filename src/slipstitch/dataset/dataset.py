@@ -45,14 +45,6 @@ def write_dataset(
 ) -> list[dict[str, Any]]:
     """Write ``{simulation}.parquet`` and ``manifest.parquet`` from image shards.
 
-    Parameters
-    ----------
-    config : Config
-        Grid, textures, viewpoints, pixels, frames and splits.
-    shards : iterable of paths
-        All image shards of the grid.
-    out_dir : path
-
     Returns
     -------
     list of dict

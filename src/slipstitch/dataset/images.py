@@ -71,12 +71,6 @@ def simulations_of(path: str | os.PathLike) -> set[str]:
 def read_shard(path: str | os.PathLike, frames: np.ndarray) -> dict[tuple[str, str, str], list]:
     """The wanted frames of every video in a shard.
 
-    Parameters
-    ----------
-    path : path
-    frames : ndarray of int
-        Frame numbers to keep, in this order.
-
     Returns
     -------
     dict

@@ -50,14 +50,6 @@ def standardised(features: np.ndarray, training: np.ndarray) -> np.ndarray:
 def linear_answers(features: np.ndarray, labels: np.ndarray, sides: np.ndarray) -> np.ndarray:
     """Classes by a ridge regression on indicators of the classes.
 
-    Parameters
-    ----------
-    features : ndarray, shape (n, d)
-        As `standardised` returns them.
-    labels : ndarray of int, shape (n,)
-    sides : ndarray of str, shape (n,)
-        train, validation or test; validation videos choose the ridge.
-
     Returns
     -------
     ndarray of int, shape (n,)
@@ -83,14 +75,7 @@ def linear_answers(features: np.ndarray, labels: np.ndarray, sides: np.ndarray) 
 
 
 def chance_of(right: np.ndarray, labels: np.ndarray, simulations: Sequence[str]) -> float:
-    """Probability that guessing is right at least as often; the videos of a simulation count once.
-
-    Parameters
-    ----------
-    right : ndarray of bool, shape (n,)
-    labels : ndarray of int, shape (n,)
-    simulations : sequence of str, length n
-    """
+    """Probability that guessing is right at least as often; a simulation's videos count once."""
     names, first, place = np.unique(simulations, return_index=True, return_inverse=True)
     share = np.bincount(place, weights=right) / np.bincount(place)
     best_guess = np.bincount(labels[first]).max() / len(names)
@@ -101,13 +86,6 @@ def refuse_leak(
     what: str, right: np.ndarray, labels: np.ndarray, simulations: Sequence[str]
 ) -> None:
     """Refuse videos whose coefficient is told by what must not tell it.
-
-    Parameters
-    ----------
-    what : str
-        Dataset, split and probe, for the message.
-    right, labels, simulations
-        Of the test videos, as `chance_of` takes them.
 
     Raises
     ------
@@ -128,11 +106,6 @@ def probed_splits(rows: Sequence[Row]) -> tuple[str, ...]:
 
     A camera of the family ``bench_1`` ... is one simulation's own, and tells it in the split by
     video, which the configuration therefore refuses to train with.
-
-    Parameters
-    ----------
-    rows : sequence of mappings
-        Of the manifest.
     """
     if any(of_a_family(row["viewpoint"]) for row in rows):
         return (BY_SIMULATION,)
@@ -155,19 +128,7 @@ def ever_cloth(images: np.ndarray) -> np.ndarray:
 def untold_features(
     rows: Sequence[Row], frames: np.ndarray, sizes: np.ndarray, sides: np.ndarray
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
-    """Name in `UNTOLD` -> what the probe sees of every video, and the sides by which it learns.
-
-    Parameters
-    ----------
-    rows : sequence of mappings
-        Of the manifest.
-    frames : ndarray of uint8, shape (n, side, side, 3)
-        First frames.
-    sizes : ndarray, shape (n,)
-        Bytes of the first frames' files.
-    sides : ndarray of str, shape (n,)
-        Of the split.
-    """
+    """Name in `UNTOLD` -> what the probe sees of every video, and the sides by which it learns."""
     views = np.array([row["viewpoint_id"] for row in rows])
     background = frames.copy()
     for view in set(views):
@@ -199,17 +160,6 @@ def check_nothing_told(
     where: str, every: Sequence[Row], frames: np.ndarray, sizes: np.ndarray
 ) -> None:
     """Refuse a dataset of which a linear probe of `UNTOLD` tells the coefficient, in a split.
-
-    Parameters
-    ----------
-    where : str
-        Names the dataset.
-    every : sequence of mappings
-        The manifest's rows.
-    frames : ndarray of uint8, shape (n, side, side, 3)
-        First frames of their videos.
-    sizes : ndarray, shape (n,)
-        Bytes of the first frames' files.
 
     Raises
     ------

@@ -265,13 +265,6 @@ def job_memory_mb(kind: str, config: Config | None = None) -> int:
     """Memory (MB) for a scheduler to set aside for one job: twice what was measured.
 
     Of decoded videos, which are counted and not guessed, 1.2 times what they take at the peak.
-
-    Parameters
-    ----------
-    kind : str
-        One of `JOB_KINDS`.
-    config : Config, optional
-        For kinds whose memory grows with the dataset.
     """
     needed = MEMORY_MARGIN * MEMORY_MIB[kind] * 2**20
     if config is not None and kind == "sample":

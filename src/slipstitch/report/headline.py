@@ -91,13 +91,6 @@ def share_interval(rows: Sequence[Mapping[str, Any]], step: float) -> tuple[floa
     """90 % interval of the share below half a step, over simulations and seeds; None of one.
 
     If all are right, or none, it is Clopper and Pearson's (1934), each simulation one case.
-
-    Parameters
-    ----------
-    rows : sequence of mapping
-        Rows of predictions.parquet: one network, one split.
-    step : float
-        Grid step of µ.
     """
     right: dict[tuple[int, str], list[bool]] = defaultdict(list)
     for row in rows:

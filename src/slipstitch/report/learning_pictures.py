@@ -143,13 +143,7 @@ def _draw_confusion(axes: Axes, counts: np.ndarray, labels: Sequence[str]) -> No
 
 @styled
 def confusions(details: Mapping[str, Any]) -> Figure | None:
-    """True against predicted classes: fabrics and coefficients, a row a split.
-
-    Parameters
-    ----------
-    details : mapping
-        details.json: split -> network -> ``confusion`` and ``classes``.
-    """
+    """True against predicted classes: fabrics and coefficients, a row a split."""
     found = {
         (split, network): details[split][network]
         for split in SPLIT_NAMES

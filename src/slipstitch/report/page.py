@@ -38,13 +38,6 @@ def closest_frictions(frictions: Sequence[float]) -> float | None:
 def page_context(results: Results, now: datetime) -> dict[str, Any]:
     """Everything that the template shows.
 
-    Parameters
-    ----------
-    results : Results
-        The results folder.
-    now : datetime
-        When the page is made.
-
     Returns
     -------
     dict
@@ -132,13 +125,7 @@ def _first_sentence(text: str) -> str:
 
 
 def render_page(context: Mapping[str, Any]) -> str:
-    """The page as HTML.
-
-    Parameters
-    ----------
-    context : mapping
-        What `page_context` returned.
-    """
+    """The page as HTML."""
     return render(TEMPLATE, **context)
 
 

@@ -146,13 +146,7 @@ def _labels(trajectories: Sequence[SimulationSummary]) -> tuple[list[str], list[
 
 @styled
 def profiles(trajectories: Sequence[SimulationSummary]) -> Figure | None:
-    """Side views: the line down the middle of each cloth at some moments, seen with the stage.
-
-    Parameters
-    ----------
-    trajectories : sequence of SimulationSummary
-        One for each material and friction coefficient that is to be shown.
-    """
+    """Side views: the line down the middle of each cloth at some moments, seen with the stage."""
     if not trajectories:
         return None
     materials, frictions = _labels(trajectories)
@@ -191,13 +185,7 @@ def profiles(trajectories: Sequence[SimulationSummary]) -> Figure | None:
 
 @styled
 def tails(trajectories: Sequence[SimulationSummary]) -> Figure | None:
-    """Position of the lower edge relative to the clamps over time: the main visual cue.
-
-    Parameters
-    ----------
-    trajectories : sequence of SimulationSummary
-        All replicates of all materials and coefficients.
-    """
+    """Position of the lower edge relative to the clamps over time: the main visual cue."""
     if not trajectories:
         return None
     materials, frictions = _labels(trajectories)

@@ -367,13 +367,6 @@ def status(folder: str | Path, log_lines: int) -> tuple[str, bool]:
 
     Failures come first, then the state of the last run and the jobs of each stage.
 
-    Parameters
-    ----------
-    folder : path
-        The results folder.
-    log_lines : int
-        How many lines of a failed job's log to show.
-
     Raises
     ------
     BadInput

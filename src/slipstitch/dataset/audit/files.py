@@ -67,14 +67,7 @@ def _batches(path: Path) -> Iterator[pa.RecordBatch]:
 
 
 def read_shard(path: Path, pixels: int | None = None) -> Shard:
-    """Decode a shard's images and take down what it says of its videos.
-
-    Parameters
-    ----------
-    path : path
-    pixels : int, optional
-        Side that every image must have.
-    """
+    """Decode a shard's images and take down what it says of its videos."""
     shard = Shard()
     sums: dict[str, Any] = {}
     try:

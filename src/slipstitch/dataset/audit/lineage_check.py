@@ -50,12 +50,6 @@ def check_lineage(
 ) -> tuple[list[Finding], list[str]]:
     """Follow every clip.
 
-    Parameters
-    ----------
-    contents : Contents
-    shards : mapping
-        What `slipstitch.dataset.audit.files.check_files` read.
-
     Returns
     -------
     findings : list of Finding

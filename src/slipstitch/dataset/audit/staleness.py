@@ -20,12 +20,6 @@ from slipstitch.physics.simulation.convergence import MEASURED, study_digest
 def check_staleness(contents: Contents, config: Config | None) -> list[Finding]:
     """Stages whose code, catalogue or study has changed, and records of other values than `config`.
 
-    Parameters
-    ----------
-    contents : Contents
-    config : Config or None
-        Today's configuration; None to compare code and catalogue only.
-
     Returns
     -------
     list of Finding
@@ -83,12 +77,6 @@ def quoted_study(artefact: Artefact) -> object:
 
 def check_commits(contents: Contents, checkout: Path) -> tuple[list[Finding], list[str]]:
     """Code digests of the records against the commits that they name.
-
-    Parameters
-    ----------
-    contents : Contents
-    checkout : path
-        A checkout in whose history the commits are looked up.
 
     Returns
     -------

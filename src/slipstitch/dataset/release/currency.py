@@ -189,13 +189,6 @@ def calibrated_simulation(
 def calibrated_by(artefacts: Iterable[str], place: Callable[[str], Path]) -> dict[str, dict]:
     """The settings that calibrations among artefacts chose, by path.
 
-    Parameters
-    ----------
-    artefacts : iterable of str
-        Paths as records call them.
-    place : callable
-        Where the file of such a path is.
-
     Raises
     ------
     BadInput

@@ -29,6 +29,9 @@ from slipstitch.dataset.release.records import (
 from slipstitch.dataset.release.shards import features_of
 from slipstitch.design.splits import SIDES
 
+KEYWORDS = ("cloth", "friction", "simulation", "video", "material estimation")
+LICENCE_URL = "https://spdx.org/licenses/GPL-3.0-or-later"
+CITATION = "CITATION.cff"
 CARD = "README.md"
 _TEMPLATE = Path(__file__).with_name("card.md.j2")
 _NO_LABELS = frozenset(
@@ -114,67 +117,8 @@ def varied(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
     return shown
 
 
-def default_split(parts: Mapping[str, Any]) -> str:
-    """The split that is loaded if none is named."""
-    return "by_simulation" if "by_simulation" in parts else next(iter(parts))
-
-
-def card_text(facts: Mapping[str, Any], rows, parts, frame_columns, **more) -> str:
-    """Text of ``README.md``.
-
-    Parameters
-    ----------
-    facts : mapping
-    rows : sequence of mappings
-        The release's manifest.
-    parts : mapping
-        Split -> side -> parts.
-    frame_columns : sequence of str
-        Columns of the shards.
-    **more
-        What else the template shows: ``config, law, calibration, verification, solver, pictures,
-        code, versions, example``; ``law`` is the place of the extended model, None without one.
-    """
-    default = default_split(parts)
-    images = sum(row["frames"] for row in rows)
-    return render(
-        _TEMPLATE,
-        front_matter=front_matter(facts, images, parts, default),
-        facts=facts,
-        default=default,
-        images=images,
-        videos=len(rows),
-        values={
-            name: sorted({row[name] for row in rows})
-            for name in ("simulation", "material", "friction")
-        },
-        varied=varied(rows),
-        frames=sorted({row["frames"] for row in rows}),
-        pixels=sorted({row["pixels"] for row in rows}),
-        splits=split_table(rows, list(parts)),
-        sides=SIDES,
-        manifest_columns=[(name, described(name)) for name in rows[0]],
-        frame_columns=[(name, described(name)) for name in frame_columns],
-        **more,
-    )
-
-
-KEYWORDS = ("cloth", "friction", "simulation", "video", "material estimation")
-LICENCE_URL = "https://spdx.org/licenses/GPL-3.0-or-later"
-CITATION = "CITATION.cff"
-
-
 def facts_of(config: Config, project: Path, date: str) -> dict[str, Any]:
-    """Name, version, title and the like, as card, Croissant and crate have them.
-
-    Parameters
-    ----------
-    config : Config
-    project : path
-        Folder that holds ``CITATION.cff``.
-    date : str
-        Day of the release.
-    """
+    """Name, version, title and the like, as card, Croissant and crate have them."""
     citation = read_yaml(project / CITATION)
     paper = citation["references"][0]
     settings = config.release
@@ -192,13 +136,6 @@ def facts_of(config: Config, project: Path, date: str) -> dict[str, Any]:
     }
 
 
-def sides_of_parts(rows: Sequence[Mapping[str, Any]]) -> dict[str, dict[str, list[str]]]:
-    """Split -> side -> parts, from the manifest's rows."""
-    names = [name for name in rows[0] if name.startswith(PREFIX)]
-    splits = {name.removeprefix(PREFIX): [row[name] for row in rows] for name in names}
-    return parts_of_splits(splits, [row["part"] for row in rows])
-
-
 def card_of(
     folder: Path,
     facts: Mapping[str, Any],
@@ -207,27 +144,35 @@ def card_of(
     artefacts: Mapping[str, Artefact],
     pictures: Mapping[str, str],
 ) -> str:
-    """Text of ``README.md``.
-
-    Parameters
-    ----------
-    folder : path
-        The release; its shards and its carried records are read.
-    facts : mapping
-        See `facts_of`.
-    config : Config
-    rows : sequence of mappings
-        Its manifest.
-    artefacts : mapping
-        Path -> record of every file behind it.
-    pictures : mapping
-        Preview -> what it shows.
-    """
-    return card_text(
-        facts,
-        rows,
-        sides_of_parts(rows),
-        list(features_of(pq.read_schema(folder / rows[0]["shard"]))),
+    """Text of ``README.md``, from the manifest's rows, the shards and the carried records."""
+    splits = {
+        name.removeprefix(PREFIX): [row[name] for row in rows]
+        for name in rows[0]
+        if name.startswith(PREFIX)
+    }
+    sides = parts_of_splits(splits, [row["part"] for row in rows])
+    # The split that is loaded if none is named.
+    default = "by_simulation" if "by_simulation" in sides else next(iter(sides))
+    images = sum(row["frames"] for row in rows)
+    frame_columns = features_of(pq.read_schema(folder / rows[0]["shard"]))
+    return render(
+        _TEMPLATE,
+        front_matter=front_matter(facts, images, sides, default),
+        facts=facts,
+        default=default,
+        images=images,
+        videos=len(rows),
+        values={
+            name: sorted({row[name] for row in rows})
+            for name in ("simulation", "material", "friction")
+        },
+        varied=varied(rows),
+        frames=sorted({row["frames"] for row in rows}),
+        pixels=sorted({row["pixels"] for row in rows}),
+        splits=split_table(rows, list(sides)),
+        sides=SIDES,
+        manifest_columns=[(name, described(name)) for name in rows[0]],
+        frame_columns=[(name, described(name)) for name in frame_columns],
         config=config,
         law=_law(config, artefacts),
         calibration=_calibration(folder, artefacts),
@@ -235,7 +180,7 @@ def card_of(
         solver=_solver(artefacts),
         pictures=pictures,
         code=_commits(artefacts),
-        versions=versions_of(artefacts),
+        versions=_versions(artefacts),
         example=rows[0]["video"],
     )
 
@@ -306,7 +251,7 @@ def _commits(artefacts: Mapping[str, Artefact]) -> dict[str, Any]:
     return {"commits": sorted(commits), "dirty": any(record["git_dirty"] for record in records)}
 
 
-def versions_of(artefacts: Mapping[str, Artefact]) -> dict[str, list[str]]:
+def _versions(artefacts: Mapping[str, Artefact]) -> dict[str, list[str]]:
     """Package -> its versions, of everything behind a release."""
     found: dict[str, set[str]] = defaultdict(set)
     for artefact in artefacts.values():

@@ -71,14 +71,7 @@ def _field(record_set: str, column: pa.Field, source: dict[str, str]) -> mlc.Fie
 
 
 def croissant(folder: Path, facts: Mapping[str, Any]) -> mlc.Metadata:
-    """The metadata of the release in `folder`, its manifest and shards in it.
-
-    Parameters
-    ----------
-    folder : path
-    facts : mapping
-        ``name, version, title, description, licence_url, citation, date, keywords``.
-    """
+    """The metadata of the release in `folder`, its manifest and shards in it."""
     manifest = folder / MANIFEST
     shards = sorted(folder.glob(f"{FOLDER}/*.parquet"))
     parquet = "application/x-parquet"
@@ -172,19 +165,7 @@ def crate_text(
     artefacts: Mapping[str, Artefact],
     record: Mapping[str, Any],
 ) -> str:
-    """Text of ``ro-crate-metadata.json``, over everything that was in `folder` before it.
-
-    Parameters
-    ----------
-    folder : path
-        The release.
-    facts : mapping
-        ``title, description, licence_url, date, keywords, version``.
-    artefacts : mapping
-        Path -> record of every file behind the release.
-    record : mapping
-        The release's own.
-    """
+    """Text of ``ro-crate-metadata.json``, over everything that was in `folder` before it."""
     artefacts = in_order(artefacts) | {".": Artefact(".", "", provenance=dict(record))}
     crate = ROCrate(version="1.1")  # which the profiles are based on
     crate.metadata.extra_contexts.append(_CONTEXT)  # has sha256

@@ -88,36 +88,17 @@ def _table(
 def write_previews(folder: Path, rows: Sequence[Row]) -> dict[str, str]:
     """Draw the previews of a release into it; path in the release -> what it shows."""
     (folder / PREVIEWS).mkdir()
-    drawn = draw_previews(folder, rows)
-    for path, (_, picture) in drawn.items():
-        picture.save(folder / path)
-    return {path: words for path, (words, _) in drawn.items()}
-
-
-def draw_previews(folder: Path, rows: Sequence[Row]) -> dict[str, tuple[str, Image.Image]]:
-    """Draw the previews of a release.
-
-    Parameters
-    ----------
-    folder : path
-        The release, shards in it.
-    rows : sequence of mappings
-        Its manifest.
-
-    Returns
-    -------
-    dict
-        Path in the release -> what it shows, and the picture.
-    """
     show = reader(folder)
     rows = sorted(rows, key=lambda row: row["video"])
     first = rows[0]
     middle = first["frames"] // 2
     alike = [row for row in rows if all(row[k] == first[k] for k in ("texture_id", "viewpoint_id"))]
-    pictures: dict[str, tuple[str, Image.Image]] = {}
+    pictures: dict[str, str] = {}
 
     def draw(name: str, tiles, downs, acrosses, words: str) -> None:
-        pictures[f"{PREVIEWS}/{name}.png"] = words, sheet(tiles, downs, acrosses)
+        path = f"{PREVIEWS}/{name}.png"
+        sheet(tiles, downs, acrosses).save(folder / path)
+        pictures[path] = words
 
     tiles, downs, acrosses = _table(alike, "material", "friction", middle, show)
     draw(
