@@ -61,7 +61,7 @@ class Plan(BaseModel):
     jobs: list[Job]
 
 
-class Event(BaseModel, strict=True):
+class Event(BaseModel, strict=True, allow_inf_nan=False):
     """A line of the journal.
 
     Its event is run (with the process that ran), started, finished, failed (with rule, outputs and
@@ -69,7 +69,7 @@ class Event(BaseModel, strict=True):
     """
 
     event: str
-    time: float
+    time: float = Field(ge=0, lt=1e11)
     job: int | None = None
     rule: str = "?"
     output: list[FileName] = []
