@@ -45,25 +45,16 @@ def test_a_balanced_table_gives_students_interval_of_the_positions_means():
         assert found.error == pytest.approx(2.7764 * found.standard_error, rel=5e-3)
 
 
-def test_one_position_is_plain_students_interval():
-    angles = measured(np.random.default_rng(1), cells=[(0, 0)] * 6)
+@pytest.mark.parametrize("cells", [[(0, 0)] * 6, [(p, 0) for p in range(6)]])
+def test_without_repeats_at_several_positions_it_is_plain_students_interval(cells):
+    """What positions scatter and what repeats do is in one number then, and need not be told."""
+    angles = measured(np.random.default_rng(1), cells=cells)
     values = np.tan(angles.angle_rad)
     found = estimate(angles)
     assert found.mu == pytest.approx(values.mean())
     assert found.standard_error == pytest.approx(values.std(ddof=1) / np.sqrt(6))
     assert found.degrees_of_freedom == pytest.approx(5)
     assert (found.position_sd, found.position_p, found.orientation_p) == (None, None, None)
-
-
-def test_one_measurement_at_each_position_is_plain_students_interval():
-    """What positions scatter and what repeats do is in one number then, and need not be told."""
-    angles = measured(np.random.default_rng(1), cells=[(p, 0) for p in range(6)])
-    values = np.tan(angles.angle_rad)
-    found = estimate(angles)
-    assert found.mu == pytest.approx(values.mean())
-    assert found.standard_error == pytest.approx(values.std(ddof=1) / np.sqrt(6))
-    assert found.degrees_of_freedom == pytest.approx(5)
-    assert found.position_sd is None
 
 
 def test_an_orientation_at_one_position_only_is_refused():
