@@ -68,6 +68,7 @@ SPOILT = [
 ]
 
 
+@pytest.mark.default_cases(4)
 @pytest.mark.parametrize("table, columns, likely", SPOILT)
 def test_a_wrong_unit_is_named(good, tmp_path, table, columns, likely):
     found = implausible(read_case(spoilt(good, tmp_path / "case", table, **columns)))

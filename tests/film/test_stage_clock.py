@@ -162,6 +162,7 @@ def film(tmp_path_factory):
     return play
 
 
+@pytest.mark.slow
 def test_a_clock_slightly_wrong_is_corrected_and_noted(film):
     video = read_stage_video(film(1.01), lens(), SCHEDULE)
     assert video.time_base.rate == pytest.approx(1.01, abs=1e-3)

@@ -143,6 +143,7 @@ def _difference(some, others):
     return np.sqrt(np.mean(squares))
 
 
+@pytest.mark.slow
 def test_rectified_images_are_those_of_the_calibrated_viewpoint(shard):
     _, calibrated = shard("calibrated")
     metadata, same_pose = shard("bench_1", CALIBRATED_SHARE=1)

@@ -194,6 +194,7 @@ def test_a_sample_of_the_dataset_is_compared_with_direct_renders(work, capsys):
     assert read_sidecar(out)["stage"] == "render"
 
 
+@pytest.mark.slow
 def test_an_image_unlike_the_direct_one_fails_the_verification(work, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(verification, "LEAST_PSNR_DB", {False: 99.0, True: 99.0})
     monkeypatch.setattr(verification, "SAMPLES", {True: 1})
@@ -204,6 +205,7 @@ def test_an_image_unlike_the_direct_one_fails_the_verification(work, tmp_path, c
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_an_altered_image_fails_the_verification(work, tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(verification, "SAMPLES", {True: 1})
     for view in ("v00", "v01"):

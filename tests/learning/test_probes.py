@@ -150,6 +150,7 @@ def test_every_probe_is_a_row_in_both_splits_and_the_motion_shows_in_the_middle(
             assert np.mean([row["true"] == row["predicted"] for row in rows]) <= 0.5
 
 
+@pytest.mark.slow
 def test_a_floor_that_knows_the_coefficient_is_found_in_the_first_frame(dataset):
     videos = _videos(dataset)
     pixels = videos.pixels.copy()

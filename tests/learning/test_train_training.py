@@ -255,6 +255,7 @@ def test_a_killed_training_goes_on_to_the_same_bits(dataset, tmp_path, steps, ch
     assert not (tmp_path / "killed" / "checkpoint.safetensors").exists()
 
 
+@pytest.mark.default_cases(1)
 @pytest.mark.parametrize("other", [{"seed": 1}, {"threads": 2}], ids=["seed", "threads"])
 def test_a_checkpoint_of_another_training_is_not_used(dataset, tmp_path, capsys, other):
     """Sums over several threads round otherwise: the result would be neither run's."""

@@ -88,6 +88,7 @@ def test_drop_and_drag_runs_with_the_model(tmp_path):
     assert tail["extended"] < tail["plain"] - 0.002  # adhesion holds the tail back
 
 
+@pytest.mark.slow
 def test_the_warp_is_the_direction_that_the_configuration_names(tmp_path):
     """Dragged along v, with half as much again along the warp and half as much less across."""
     law = {"coefficient": 0.3, "mechanisms": {"anisotropy": {"anisotropy": 0.5}}}

@@ -131,6 +131,7 @@ def test_criticism_and_audit_are_shown_and_damage_is_not_hidden(page, tmp_path):
     assert "No measured case was analysed." in shown
 
 
+@pytest.mark.slow
 def test_the_headline_is_the_error_of_the_best_network_beside_the_best_probe(tmp_path):
     synthetic_results.write_evaluate(CONFIG, tmp_path, seeds=(0, 1, 2))
     errors = {"by_simulation": (0.9, 0.01), "by_video": (0.5, 0.4)}
@@ -267,6 +268,7 @@ def test_every_turn_of_the_camera_has_its_own_scores(tmp_path):
     assert rows[1][conditional] == "33.3 ± 5.6 %"  # one video more
 
 
+@pytest.mark.slow
 def test_captures_stand_beside_the_papers(tmp_path):
     synthetic_results.write_evaluate(CONFIG, tmp_path)
     synthetic_results.write_captures(tmp_path, seeds=(0, 1))
