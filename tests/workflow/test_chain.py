@@ -10,6 +10,8 @@ from slipstitch.base.provenance import file_digest, read_provenance
 from slipstitch.config import load_config
 from slipstitch.design.grid import friction_id, simulations, viewpoint_ids
 
+pytestmark = pytest.mark.slow
+
 STAGES = (
     "criticise",
     "calibrate",
@@ -201,7 +203,6 @@ def test_one_more_replicate_keeps_the_simulations_there_are(chain, config):
     assert all(f"_r{more - 1:02d}" in file for file in simulated)
 
 
-@pytest.mark.slow
 def test_equal_seed_makes_equal_simulation_and_images(chain, results, config, tmp_path):
     one = simulations(config)[0].id
     again = tmp_path / f"{one}.parquet"
@@ -222,7 +223,6 @@ def test_equal_seed_makes_equal_simulation_and_images(chain, results, config, tm
     assert pq.read_table(shard).equals(pq.read_table(results / f"render/{one}_v00.parquet"))
 
 
-@pytest.mark.slow
 def test_equal_seed_makes_equal_network(chain, results, config, tmp_path):
     split, seed = config.train.splits[0], config.train.seeds[0]
     answer = chain.run(
@@ -252,7 +252,6 @@ def test_release_of_the_chain_is_whole_and_protected(chain, results):
     assert files and all(path.stat().st_mode & 0o222 == 0 for path in files)
 
 
-@pytest.mark.slow
 def test_audit_of_the_release_finds_nothing_and_a_clip_can_be_made_again(chain, results, config):
     answer = chain.run("slipstitch", "audit", "results/release", "--config", "results/config.json")
     assert answer.returncode == 0, answer.stdout
@@ -262,7 +261,6 @@ def test_audit_of_the_release_finds_nothing_and_a_clip_can_be_made_again(chain, 
     assert "the same motion, bit by bit; all 6 images have equal pixels" in answer.stdout
 
 
-@pytest.mark.slow
 def test_the_anisotropy_hidden_in_shapes_of_cloth_is_named_and_simulated_again(workflow):
     """The surrogate case of the demo: its runs, simulated with the law found, are closer."""
     target = "results/criticise/surrogate_anisotropic/verdict.json"

@@ -7,6 +7,8 @@ from support.stage_commands import ONE, PACKS, SHARDS, SWEEP, TRAJECTORY, words_
 
 from slipstitch.cli.main import main
 
+pytestmark = pytest.mark.slow
+
 MODEL = "results/train/by_simulation/friction_baseline/seed0"
 
 
@@ -53,7 +55,6 @@ def run(chain, tmp_path_factory):
     return folder
 
 
-@pytest.mark.default_cases(17)  # a case a stage
 @pytest.mark.parametrize(
     ("name", "stage"), [(name, stage) for name, stages in DAMAGED.items() for stage in stages]
 )

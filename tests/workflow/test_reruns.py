@@ -4,13 +4,14 @@ import json
 
 import pytest
 
+pytestmark = pytest.mark.slow
+
 
 def fabrics_file(chain) -> str:
     path = chain.project / "src/slipstitch/config/fabrics.json"
     return path.read_text(encoding="utf-8")
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
     ("old", "new"),
     [
@@ -25,7 +26,6 @@ def test_words_and_further_entries_leave_a_finished_run_as_it_is(chain, old, new
         assert chain.pending(reloaded=True) == set()
 
 
-@pytest.mark.slow
 def test_an_eleventh_fabric_simulates_nothing_again(chain):
     before = fabrics_file(chain)
     content = json.loads(before)
@@ -34,7 +34,6 @@ def test_an_eleventh_fabric_simulates_nothing_again(chain):
         assert chain.pending(reloaded=True) == set()
 
 
-@pytest.mark.slow
 def test_another_fabric_reruns_its_own_simulations_and_what_is_made_from_them(chain):
     fabrics = json.loads(fabrics_file(chain))["fabrics"]
     density = f'"areal_density_kg_m2": {fabrics["gray-interlock"]["areal_density_kg_m2"]}'
