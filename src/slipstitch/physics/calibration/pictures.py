@@ -5,7 +5,7 @@ Theory is black, what was measured coloured.
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -95,7 +95,7 @@ def draw_again(path: str | os.PathLike, pictures: Mapping[str, str | os.PathLike
 def calibration_figure(calibration: Mapping[str, Any]) -> Figure:
     """Draw the checks of a calibration against theory, a panel each; some may not have been run."""
     figure = new_figure(9.6, 7.0)
-    panels = (
+    panels: tuple[tuple[str, Callable[..., None], dict[str, str]], ...] = (
         ("incline", _incline, {}),
         ("flat-drag", _flat_drag, {}),
         ("strip-drag", _strip_drag, {
@@ -221,8 +221,9 @@ def strip_figure(calibration: Mapping[str, Any]) -> Figure:
                 )  # fmt: skip
         label = f"simulated, Young's modulus {modulus / 1e9:.3g} GPa"
         handles.append(Line2D([], [], color=colour, marker=marker, lw=0, ms=5, label=label))
-    flat = {"marker": "o", "mfc": "white", "lw": 0, "ms": 5, "label": "foot lies flat"}
-    handles.append(Line2D([], [], color=FAINT, **flat))
+    handles.append(
+        Line2D([], [], color=FAINT, marker="o", mfc="white", lw=0, ms=5, label="foot lies flat")
+    )
     left.legend(handles=handles, frameon=False, fontsize=8, loc="lower right")
     left.set(title="Strip pushed on the floor", ylabel="vertical strain ε at slip")
     for place, friction in enumerate(a_few(sorted({run["friction"] for run in runs}))):

@@ -193,13 +193,13 @@ def compare(run: Trajectory, finest: Trajectory, sides: tuple[int, ...]) -> dict
         "events": {
             name: {
                 "time_s": time_s,
-                "finest_s": reference[name],
+                "finest_s": other,
                 "shift_s": slips.get(
-                    name, None if None in (time_s, reference[name]) else time_s - reference[name]
+                    name, None if time_s is None or other is None else time_s - other
                 ),
             }
             for name, time_s in there.items()
-            if time_s is not None or reference[name] is not None
+            if (other := reference[name]) is not None or time_s is not None
         },
         "curve": {name: np.round(values[::every], 6).tolist() for name, values in curve.items()},
     }
