@@ -275,12 +275,10 @@ def _unscored(scores: Iterable[Path], digests: Mapping[str, str]) -> list[str]:
         if not path.is_file():
             continue
         try:
-            inputs = read_provenance(path).get("inputs") or {}
+            inputs = (read_provenance(path).get("inputs") or {}).items()
         except FileNotFoundError:
             raise BadInput(f"{path}: has no record of what was evaluated; {_AGAIN}") from None
-        evaluated = {
-            path: one for path, one in inputs.items() if path.endswith((WEIGHTS, MANIFEST))
-        }
+        evaluated = {name: one for name, one in inputs if name.endswith((WEIGHTS, MANIFEST))}
         others = sorted(name for name, one in evaluated.items() if one not in there.values())
         if others:
             raise BadInput(f"{path}: scores of another {others[0]} than is there; {_AGAIN}")
@@ -304,13 +302,12 @@ def _describe_dataset(sample: Path, folder: Path) -> None:
     """Write the digests of a dataset's files, and of what they were made from."""
     rows, digest = read_manifest(sample)
     shards = {row["file"] for row in rows}
+    there = [file for file in sorted(shards) if (sample / file).is_file()]
     dataset = {
         "digest": digest,
         "videos": len(rows),
         "images": sum(row["frames"] for row in rows),
-        "files": {
-            file: file_digest(sample / file) for file in sorted(shards) if (sample / file).is_file()
-        },
+        "files": {file: file_digest(sample / file) for file in there},
     }
     folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / "digests.json", dataset)
@@ -356,13 +353,11 @@ def _copy(source: Path, to: Path, published: bool = True) -> None:
 
 
 def _copy_table(source: Path, to: Path) -> None:
-    table = read_parquet(source)
     columns = {one.path: one.physical_type for one in pq.read_metadata(source).schema}
     numbers = [path for path, kind in columns.items() if kind in ("FLOAT", "DOUBLE")]
     others = [path for path in columns if path not in numbers]
-    pq.write_table(
-        table, to, compression="zstd", use_dictionary=others, use_byte_stream_split=numbers
-    )
+    stored = {"use_dictionary": others, "use_byte_stream_split": numbers}
+    pq.write_table(read_parquet(source), to, compression="zstd", **stored)
 
 
 def _without_runs(content: Any) -> Any:
