@@ -33,7 +33,7 @@ from support.departures.sensors import CATALOGUE, REPORTABLE
 from slipstitch.base.errors import BadInput
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.measurements import assemble
-from slipstitch.criticise.prediction.predictive import predict_model
+from slipstitch.criticise.prediction import predict_model
 from slipstitch.criticise.statement import statement
 from slipstitch.criticise.verdict import analyse
 from slipstitch.criticise.verdict_data import verdict_of

@@ -16,8 +16,7 @@ from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import file_digest, read_provenance
 from slipstitch.cli.main import main
 from slipstitch.criticise.inference import fit
-from slipstitch.criticise.prediction.predictive import read_verdict
-from slipstitch.criticise.prediction.validation import lock, score
+from slipstitch.criticise.prediction import lock, read_verdict, score
 
 KEYS = {
     "case",

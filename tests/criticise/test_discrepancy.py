@@ -18,7 +18,7 @@ from slipstitch.criticise.inference.gain import plain_scatters
 from slipstitch.criticise.inference.outliers import fit_without_outliers
 from slipstitch.criticise.inference.smooth_factor import Problem
 from slipstitch.criticise.measurements import assemble
-from slipstitch.criticise.prediction.predictive import is_discrepancy, predict_model, read_verdict
+from slipstitch.criticise.prediction import is_discrepancy, predict_model, read_verdict
 from slipstitch.criticise.resimulation import law_of_run
 from slipstitch.physics.friction_law import Contact
 from slipstitch.physics.friction_law.extended_model import model_of, read_extended_model

@@ -6,7 +6,7 @@ from support.hidden_effects.bench import make_case
 
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.measurements import assemble
-from slipstitch.criticise.prediction.predictive import predict_model
+from slipstitch.criticise.prediction import predict_model
 from slipstitch.criticise.verdict import analyse
 from slipstitch.criticise.verdict_data import verdict_of
 

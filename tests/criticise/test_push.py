@@ -1,6 +1,7 @@
 """(f) A pushed block: steps in time and the features agree; an impact is no static excess."""
 
 import json
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ MASS_KG, STIFFNESS_N_M, SPEED_M_S, MU = 1.5, 2.0e4, 2.5e-3, 0.3
 WEIGHT_N = MASS_KG * 9.80665
 
 
+@cache
 def pushed(static, time_s=5.0, quiet_s=0.5, step_s=2e-5):
     """Force on the finger every 10 ms: a mass behind a damped spring, stepped in time."""
     x = v = 0.0

@@ -14,6 +14,7 @@ from slipstitch.criticise.verdict import analyse
 from slipstitch.criticise.verdict_data import verdict_of
 
 
+@pytest.mark.slow
 def test_a_drift_in_a_session_sorted_by_humidity_is_not_blamed_on_it(tmp_path):
     make_case(93, "null", tmp_path, plant=({}, ["incline"]))
     table = pd.read_csv(tmp_path / "incline.csv")

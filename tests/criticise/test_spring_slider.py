@@ -8,7 +8,6 @@ import pytest
 from support import departures
 from support.hidden_effects.bench import make_case
 
-from slipstitch.base.errors import BadInput
 from slipstitch.cli.main import main
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.measurements import assemble
@@ -122,43 +121,6 @@ def test_the_verbs_take_the_protocol(case, tmp_path):
     found = pd.read_csv(out)
     assert set(found["quantity"]) == {"slider_level_mN", "slider_swing_mN"}
     assert np.isfinite(found[["null_mean", "null_sd", "ext_mean", "ext_sd"]]).all(axis=None)
-
-
-def edited(case, tmp_path, table, edit):
-    for path in case.iterdir():
-        (tmp_path / path.name).write_bytes(path.read_bytes())
-    found = pd.read_csv(tmp_path / table, dtype=str, keep_default_na=False)
-    edit(found).to_csv(tmp_path / table, index=False)
-    return tmp_path
-
-
-def cell(row, column, value):
-    def edit(table):
-        table.loc[row, column] = value
-        return table
-
-    return edit
-
-
-BAD = [
-    ("spring_slider_runs.csv", cell(2, "spring_N_m", "soft"), ["row 4", "spring_N_m", "soft"]),
-    ("spring_slider_runs.csv", cell(0, "speed_mm_s", ""), ["row 2", "speed_mm_s", "empty"]),
-    ("spring_slider_runs.csv", cell(1, "run_id", "e000"), ["row 3", "run_id", "e000"]),
-    ("spring_slider_runs.csv", lambda t: t.drop(columns="u_force_mN"), ["u_force_mN", "missing"]),
-    ("spring_slider.csv", cell(5, "force_mN", "nan"), ["row 7", "force_mN", "leave the cell"]),
-    ("spring_slider.csv", cell(0, "run_id", "e999"), ["row 2", "e999", "spring_slider_runs"]),
-    ("spring_slider.csv", lambda t: t[t["run_id"] != "e000"], ["e000", "no rows"]),
-]
-
-
-@pytest.mark.parametrize("table, edit, words", BAD)
-def test_bad_tables_are_refused_in_one_line(case, tmp_path, table, edit, words):
-    with pytest.raises(BadInput) as caught:
-        read_case(edited(case, tmp_path, table, edit))
-    message = str(caught.value)
-    assert "\n" not in message
-    for word in (table, *words):
-        assert word in message
 
 
 @pytest.mark.parametrize("slid_s, first", [(0.0, True), (2.0, False)])

@@ -30,7 +30,7 @@ from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.config.load import calibrated_settings, read_mapping, resolve_config
 from slipstitch.criticise.case import read_case
-from slipstitch.criticise.prediction.predictive import read_verdict
+from slipstitch.criticise.prediction import read_verdict
 from slipstitch.dataset.audit.auditing import audit_release
 from slipstitch.dataset.images import read_shard
 from slipstitch.dataset.manifest import read_manifest

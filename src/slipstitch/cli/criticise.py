@@ -106,8 +106,7 @@ def criticise(arguments: Arguments) -> int:
 def _validate(out: Path, case: Path) -> None:
     from slipstitch.base.provenance import write_json
     from slipstitch.criticise.case import has_measurements
-    from slipstitch.criticise.prediction.predictive import read_verdict
-    from slipstitch.criticise.prediction.validation import lock, score, score_words
+    from slipstitch.criticise.prediction import lock, read_verdict, score, score_words
 
     prediction = out.with_suffix(".prediction.csv")
     record = lock(read_verdict(out), case, prediction)
@@ -133,7 +132,7 @@ def predict(arguments: Arguments) -> None:
     from slipstitch.base.progress import note
     from slipstitch.base.provenance import atomic_path
     from slipstitch.criticise.case import read_case
-    from slipstitch.criticise.prediction.predictive import predictions, read_verdict
+    from slipstitch.criticise.prediction import predictions, read_verdict
 
     verdict = read_verdict(Path(arguments.verdict))
     case = read_case(arguments.case, with_measurements=False)

@@ -14,8 +14,7 @@ from slipstitch.base.errors import BadInput, first_line
 from slipstitch.base.provenance import read_parquet
 from slipstitch.base.tables import read_cells
 from slipstitch.criticise.protocols import PROTOCOLS
-from slipstitch.criticise.protocols.columns import Column
-from slipstitch.criticise.protocols.protocol import Protocol
+from slipstitch.criticise.protocols.protocol import Column, Protocol
 from slipstitch.criticise.sensors import DataFinding
 from slipstitch.criticise.traces import prepared
 

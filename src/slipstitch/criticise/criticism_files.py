@@ -7,17 +7,18 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import yaml
+
 from slipstitch import __version__
 from slipstitch.base.provenance import provenance_record, start_clock, write_json, write_text
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.expected_traces import ASSUMPTIONS, assumptions_of, expected
-from slipstitch.criticise.extended_model import write_extended_model
 from slipstitch.criticise.false_alarms import false_alarms
 from slipstitch.criticise.inference.certificate import certificate, of_design, plain_model
 from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.statement import false_alarm_words, statement
 from slipstitch.criticise.verdict import SIGNIFICANCE, analyse
-from slipstitch.criticise.verdict_data import verdict_of
+from slipstitch.criticise.verdict_data import extended_model, verdict_of
 
 
 def finite(content: Any) -> Any:
@@ -87,7 +88,8 @@ def criticise_to_files(
         if picture_path:
             write_text(picture_path, left_over(verdict, analysis), record)
     if model_path:
-        write_extended_model(verdict, Path(model_path), record)
+        text = yaml.safe_dump(extended_model(verdict), sort_keys=False)
+        write_text(model_path, text, record)
     return statement(verdict)
 
 

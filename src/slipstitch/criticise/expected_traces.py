@@ -22,6 +22,7 @@ from slipstitch.criticise.causes import Bench
 from slipstitch.criticise.measurements import COEFFICIENTS, Measurements, assemble
 from slipstitch.criticise.protocols import PROTOCOLS, incline, strip
 from slipstitch.criticise.protocols.dragged_cloth import rest_state, sliding_state, sticking_path
+from slipstitch.criticise.protocols.protocol import masses_of
 from slipstitch.criticise.protocols.push import USUAL_STIFFNESS_N_M
 from slipstitch.criticise.protocols.stick_slip import Slider
 from slipstitch.physics import GRAVITY_M_S2
@@ -150,9 +151,7 @@ def _textured(rng, count: int, step_mm: float, assumed, protocol: str) -> np.nda
 
 def _weights(runs: pd.DataFrame, nominal: Mapping[str, float]) -> np.ndarray:
     """Of cloth and added mass, N."""
-    area = np.nan_to_num(runs["area_cm2"].to_numpy(float)) * 1e-4
-    added = runs["added_mass_g"].to_numpy(float) * 1e-3
-    return (nominal.get("rho_kg_m2", 0.0) * area + added) * GRAVITY_M_S2
+    return sum(masses_of(runs, nominal)) * GRAVITY_M_S2
 
 
 def _drag(runs, nominal, assumed, rng) -> Iterator[pd.DataFrame]:

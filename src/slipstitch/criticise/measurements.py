@@ -14,7 +14,7 @@ from slipstitch.criticise.causes import BENCH_MECHANISMS, MECHANISMS, Bench
 from slipstitch.criticise.force_cells import cell_faults
 from slipstitch.criticise.plausibility import implausible
 from slipstitch.criticise.protocols import INSTRUMENT_QUANTITIES, PROTOCOLS
-from slipstitch.criticise.protocols.block import Block
+from slipstitch.criticise.protocols.protocol import Block
 from slipstitch.criticise.sensors import ZEROS, DataFinding, Zero
 from slipstitch.physics.friction_law import CONTACT_MECHANISMS, Curve, FrictionLaw, Parameter
 

@@ -14,6 +14,7 @@ import pandas as pd
 from slipstitch.base.tables import directions_in_radians, in_radians
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.force_cells import FORCE_SLIPS, is_usual, refuted_clock, refuted_units
+from slipstitch.criticise.protocols.protocol import masses_of
 from slipstitch.criticise.protocols.strip import foot, largest_weight_number
 from slipstitch.physics import GRAVITY_M_S2
 
@@ -42,9 +43,7 @@ def _of_strains(tables: Tables, nominal: Nominal) -> np.ndarray:
 
 def _weights(runs: pd.DataFrame, nominal: Nominal) -> pd.Series:
     """Weights in newtons by run."""
-    area_m2 = 1e-4 * runs["area_cm2"].fillna(0.0)
-    mass = nominal.get("rho_kg_m2", 0.0) * area_m2 + 1e-3 * runs["added_mass_g"]
-    return pd.Series(GRAVITY_M_S2 * mass.to_numpy(float), index=runs["run_id"])
+    return pd.Series(GRAVITY_M_S2 * sum(masses_of(runs, nominal)), index=runs["run_id"])
 
 
 def _of_forces(name: str) -> Callable[[Tables, Nominal], np.ndarray]:

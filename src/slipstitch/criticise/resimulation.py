@@ -10,11 +10,10 @@ from scipy.stats import t as student
 
 from slipstitch.base.errors import BadInput
 from slipstitch.criticise.case import Case
-from slipstitch.criticise.extended_model import extended_model
 from slipstitch.criticise.inference.discrepancy import along
 from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.verdict import analyse
-from slipstitch.criticise.verdict_data import verdict_of
+from slipstitch.criticise.verdict_data import extended_model, verdict_of
 from slipstitch.physics.experiments.tracked_drag import DragRun, Sheet, TrackedShape, drag_tracked
 from slipstitch.physics.friction_law import CONTACT_MECHANISMS, FrictionLaw
 from slipstitch.physics.friction_law.extended_model import ExtendedModel, model_of
@@ -86,18 +85,24 @@ def resimulate(
                 )
             _read_off(frames, done[name][key, law.coefficient], model, run["speed_mm_s"], name)
         parts.append(frames)
-    frames = pd.concat(parts, ignore_index=True)
-    summary = {
-        "case": case.name,
+    said = {
         "verdict": verdict["verdict"],
         "causes": verdict["models"]["extended"]["causes"],
-        "rows": rows,
-        "step_s": step_s,
         "simulations": {name: len(found) for name, found in done.items()},
+    }
+    return _together(case, parts, said, rows, step_s)
+
+
+def _together(
+    case: Case, parts: list[pd.DataFrame], said: dict, rows: int, step_s: float
+) -> Resimulation:
+    frames = pd.concat(parts, ignore_index=True)
+    compared = {
         "quantities": {quantity: compare(frames, quantity) for quantity in QUANTITIES},
         "all": compare(frames, *QUANTITIES),
     }
-    return Resimulation(frames, summary)
+    start = {"case": case.name, "rows": rows, "step_s": step_s}
+    return Resimulation(frames, start | said | compared)
 
 
 def resimulate_left_out(
@@ -137,16 +142,7 @@ def resimulate_left_out(
                 "simulations": again.summary["simulations"],
             }
         )
-    together = pd.concat(shown, ignore_index=True)
-    summary = {
-        "case": case.name,
-        "folds": folds,
-        "rows": rows,
-        "step_s": step_s,
-        "quantities": {quantity: compare(together, quantity) for quantity in QUANTITIES},
-        "all": compare(together, *QUANTITIES),
-    }
-    return Resimulation(together, summary)
+    return _together(case, shown, {"folds": folds}, rows, step_s)
 
 
 def _sheet(nominal: dict, model: ExtendedModel) -> Sheet:

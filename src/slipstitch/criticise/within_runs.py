@@ -16,6 +16,7 @@ from scipy.stats import t as student
 from slipstitch.base.page.wording import with_interval
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.measurements import Measurements
+from slipstitch.criticise.protocols.protocol import masses_of
 from slipstitch.criticise.protocols.push import LEVEL, PEAK, PushBlock
 from slipstitch.criticise.protocols.spring_slider import slips_of_trace
 from slipstitch.criticise.protocols.stick_slip import Slider, swing
@@ -75,8 +76,7 @@ def within_runs(case: Case, measurements: Measurements) -> dict:
 def _runs(case: Case) -> list[_Run]:
     runs = case.tables["spring_slider_runs"]
     parts = dict(list(case.tables["spring_slider"].groupby("run_id", sort=False)))
-    area = 1e-4 * runs["area_cm2"].fillna(0.0)
-    mass = case.nominal.get("rho_kg_m2", 0.0) * area + 1e-3 * runs["added_mass_g"]
+    mass = sum(masses_of(runs, case.nominal))
     found = []
     for (_, run), load_kg in zip(runs.iterrows(), mass, strict=True):
         slider = Slider(float(load_kg), run["spring_N_m"], 1e-3 * run["speed_mm_s"])

@@ -7,15 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from slipstitch.criticise.causes import Bench
-from slipstitch.criticise.protocols.block import (
-    Block,
-    conditions_of,
-    covariates_of,
-    downhill_rad,
-    feature_rows,
-    sampled,
-)
-from slipstitch.criticise.protocols.columns import ANGLE_DEG, RUN_COLUMNS, number, text
 from slipstitch.criticise.protocols.drag_trace import (
     DEPARTURE_NOISES,
     Feature,
@@ -24,7 +15,20 @@ from slipstitch.criticise.protocols.drag_trace import (
     sliding,
     trace_features,
 )
-from slipstitch.criticise.protocols.protocol import Protocol, Quantity
+from slipstitch.criticise.protocols.protocol import (
+    ANGLE_DEG,
+    RUN_COLUMNS,
+    Block,
+    Protocol,
+    Quantity,
+    conditions_of,
+    covariates_of,
+    downhill_rad,
+    feature_rows,
+    number,
+    sampled,
+    text,
+)
 from slipstitch.criticise.protocols.trace_noise import TraceNoise, noise_of
 from slipstitch.criticise.traces import Signal
 from slipstitch.physics import GRAVITY_M_S2

@@ -8,17 +8,21 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from slipstitch.criticise.protocols.block import (
+from slipstitch.criticise.protocols.dragged_cloth import rest_state, sliding_state, sticking_path
+from slipstitch.criticise.protocols.protocol import (
+    ANGLE_DEG,
+    RUN_COLUMNS,
     Block,
+    Protocol,
+    Quantity,
     conditions_of,
     covariates_of,
     downhill_rad,
     feature_rows,
+    number,
     sampled,
+    text,
 )
-from slipstitch.criticise.protocols.columns import ANGLE_DEG, RUN_COLUMNS, number, text
-from slipstitch.criticise.protocols.dragged_cloth import rest_state, sliding_state, sticking_path
-from slipstitch.criticise.protocols.protocol import Protocol, Quantity
 from slipstitch.criticise.protocols.trace_noise import noise_of, off_neighbours
 from slipstitch.criticise.traces import Signal
 from slipstitch.physics import GRAVITY_M_S2
@@ -28,7 +32,14 @@ from slipstitch.physics.friction_law import Contact
 TURN_MARGIN_MM = 5.0
 MOTION_NOISES = 5.0
 SURELY_STUCK_NOISES = MOTION_NOISES + 2.0
-USUAL_STEADY_STAGE_MM = 200.0
+# What the forward model needs of a run, where its frames do not tell.
+UNSEEN = {
+    "stage": 200.0,
+    "turn": np.nan,
+    "threshold": 0.0,
+    "stuck": np.zeros(0),
+    "grid": (0.0, 0.0),
+}
 DESIGN_QUANTITIES = ("lag_mm", "contact_len_mm")
 
 
@@ -130,13 +141,7 @@ class DropDragBlock(Block):
 def _frames(frames: pd.DataFrame, u: float, u_contact: float) -> tuple[dict, dict]:
     """Features of one run and the numbers that their forward model needs."""
     features: dict[str, tuple[float, float]] = {}
-    setting = {
-        "stage": USUAL_STEADY_STAGE_MM,
-        "turn": np.nan,
-        "threshold": MOTION_NOISES * u,
-        "stuck": np.zeros(0),
-        "grid": (0.0, 0.0),
-    }
+    setting = UNSEEN | {"threshold": MOTION_NOISES * u}
     forward = frames[frames["phase"] == "fwd"].sort_values("x_stage_mm", kind="stable")
     x, te = forward["x_stage_mm"].to_numpy(), forward["te_x_mm"].to_numpy()
     contact = forward["contact_len_mm"].to_numpy()
@@ -227,13 +232,7 @@ def features(tables, nominal, measured) -> DropDragBlock | None:
     for i, run in enumerate(runs["run_id"]):
         if frames is None:
             found = dict.fromkeys(DESIGN_QUANTITIES, (np.nan, u_pos[i] / 4))
-            setting = {
-                "stage": USUAL_STEADY_STAGE_MM,
-                "turn": np.nan,
-                "threshold": 0.0,
-                "stuck": np.zeros(0),
-                "grid": (0.0, 0.0),
-            }
+            setting = UNSEEN
         else:
             found, setting = _frames(parts[run], u_edge[i], u_contact[i])
         settings.append(setting)

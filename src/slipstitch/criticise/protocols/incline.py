@@ -6,15 +6,18 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slipstitch.criticise.protocols.block import (
+from slipstitch.criticise.protocols.protocol import (
+    ANGLE_DEG,
+    RUN_COLUMNS,
     USUAL_AREA_M2,
     Block,
+    Protocol,
+    Quantity,
     conditions_of,
     covariates_of,
     downhill_rad,
+    number,
 )
-from slipstitch.criticise.protocols.columns import ANGLE_DEG, RUN_COLUMNS, number
-from slipstitch.criticise.protocols.protocol import Protocol, Quantity
 from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.friction_law import Contact, FrictionLaw
 

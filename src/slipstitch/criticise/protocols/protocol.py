@@ -1,15 +1,182 @@
-"""What a protocol is to the criticism: its files, its features and their forward model."""
+"""What a protocol is to the criticism: its tables, its features, and their forward model."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
+from typing import ClassVar
 
+import numpy as np
 import pandas as pd
 
-from slipstitch.criticise.protocols.block import Block
-from slipstitch.criticise.protocols.columns import Column
+from slipstitch.criticise.causes import Bench
+from slipstitch.criticise.protocols.trace_noise import TraceNoise
 from slipstitch.criticise.traces import Signal
+from slipstitch.physics.friction_law import Contact, FrictionLaw
+
+
+@dataclass(frozen=True)
+class Column:
+    """One column; a text column has no range, ``choices`` limits it.
+
+    What is ``measured`` may be missing in the run table of a design.
+    """
+
+    name: str
+    lower: float = float("-inf")
+    upper: float = float("inf")
+    may_be_empty: bool = True
+    text: bool = False
+    choices: tuple[str, ...] = ()
+    measured: bool = False
+
+    @property
+    def allowed(self) -> str:
+        """The allowed values in words."""
+        if self.choices:
+            return " or ".join(f"'{choice}'" for choice in self.choices)
+        return f"a number from {self.lower:g} to {self.upper:g}"
+
+
+def text(name, may_be_empty=True, choices=(), measured=False) -> Column:
+    """A column of words."""
+    return Column(name, may_be_empty=may_be_empty, text=True, choices=choices, measured=measured)
+
+
+def number(name, lower, upper, may_be_empty=False, measured=False) -> Column:
+    """A column of numbers."""
+    return Column(name, lower, upper, may_be_empty, measured=measured)
+
+
+ANGLE_DEG = (-360.0, 360.0)
+# Of every table of runs.
+RUN_COLUMNS = (
+    text("run_id", may_be_empty=False),
+    text("specimen_id"),
+    number("clock_min", -1e6, 1e6, True),
+    number("repeat_index", 0, 1e5, True),
+    number("orientation_deg", *ANGLE_DEG, True),
+    number("dwell_s", 0, 1e7, True),
+    number("rh_pct", 0, 100, True),
+    number("pos_x_mm", -1e5, 1e5, True),
+    text("operator"),
+)
+
+
+USUAL_AREA_M2 = 0.01  # where it was not recorded
+
+
+@dataclass
+class Block:
+    """Features of one protocol; subclasses add :meth:`predict`.
+
+    ``rows`` has one line a feature: run_id, specimen_id, quantity, measured value ``y``, its
+    instrument uncertainty ``u``, ``lower_bound`` (the truth is at or above y), ``static`` and the
+    covariates of :mod:`slipstitch.criticise.covariates` (NaN or '' where not recorded or not
+    meaningful). In ``orientation_deg`` and ``azimuth_deg`` is the direction of the slide itself.
+    """
+
+    # What a prediction depends on: the coefficient of its friction law, and fields of the bench.
+    COEFFICIENT: ClassVar[str] = "mu_face"
+    READS: ClassVar[tuple[str, ...]] = tuple(field.name for field in fields(Bench))
+    # Noise of the protocol's sensors as its traces tell it.
+    trace_noises: ClassVar[tuple[TraceNoise, ...]] = ()
+
+    protocol: str
+    rows: pd.DataFrame
+
+    def hours(self) -> np.ndarray:
+        """(features,) time since the middle of the session; 0 where it was not recorded."""
+        clock = self.rows["clock_min"].to_numpy(float) / 60.0
+        known = np.isfinite(clock)
+        if not known.any():
+            return np.zeros(len(clock))
+        return np.where(known, clock - 0.5 * (clock[known].min() + clock[known].max()), 0.0)
+
+    def predict(self, law: FrictionLaw, bench: Bench) -> np.ndarray:
+        """What the instrument would read, (features,), in the units of ``y``."""
+        raise NotImplementedError
+
+
+def covariates_of(table: pd.DataFrame, azimuth: str) -> pd.DataFrame:
+    """The common covariates of a run table, in the columns of a block."""
+    rows = pd.DataFrame({"run_id": table["run_id"], "specimen_id": table["specimen_id"]})
+    rows["specimen_id"] = [
+        specimen or f"(run {run})"
+        for specimen, run in zip(table["specimen_id"], table["run_id"], strict=True)
+    ]
+    for name in ("pos_x_mm", "clock_min", "rh_pct", "repeat_index", "dwell_s", "orientation_deg"):
+        rows[name] = table[name].to_numpy(float)
+    rows["azimuth_deg"] = table[azimuth].to_numpy(float)
+    rows["operator"] = table["operator"]
+    rows["support"] = table.get("support", "")
+    for name in ("load_ratio", "speed_mm_s", "length_mm", "height_mm"):
+        rows[name] = np.nan
+    return rows
+
+
+def downhill_rad(bench: Bench, azimuth_deg: np.ndarray) -> np.ndarray:
+    """Slope of the floor along lab azimuths; 0 where the azimuth is not recorded."""
+    azimuth = np.radians(azimuth_deg)
+    slope = bench.tilt_along_rad * np.cos(azimuth) + bench.tilt_across_rad * np.sin(azimuth)
+    return np.where(np.isnan(azimuth), 0.0, slope)
+
+
+def feature_rows(common: pd.DataFrame, lines: list[tuple]) -> tuple[np.ndarray, pd.DataFrame]:
+    """Runs' numbers and rows of features from lines (number of the run, quantity, y, u).
+
+    ``common`` has the columns that the features of a run share.
+    """
+    run = np.array([line[0] for line in lines])
+    rows = common.iloc[run].reset_index(drop=True)
+    rows["quantity"] = [line[1] for line in lines]
+    rows["y"], rows["u"] = [line[2] for line in lines], [line[3] for line in lines]
+    rows["lower_bound"] = False
+    return run, rows
+
+
+def conditions_of(rows: pd.DataFrame) -> dict[str, np.ndarray]:
+    """Fields of a contact that every protocol's rows tell."""
+    return {
+        "direction_rad": np.radians(rows["orientation_deg"].to_numpy(float)),
+        "repeats": rows["repeat_index"].to_numpy(float),
+        "relative_humidity_pct": rows["rh_pct"].to_numpy(float),
+    }
+
+
+def contacts_of(
+    rows: pd.DataFrame, load_N: np.ndarray, area_m2: np.ndarray, speed_m_s: np.ndarray
+) -> tuple[Contact, Contact]:
+    """Contacts of features at rest and in motion."""
+    shared = {"normal_force_N": load_N, "area_m2": area_m2, **conditions_of(rows)}
+    at_rest = Contact(dwell_s=rows["dwell_s"].to_numpy(float), **shared)
+    return at_rest, Contact(speed_m_s=speed_m_s, **shared)
+
+
+def masses_of(runs: pd.DataFrame, nominal: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
+    """Masses of the cloth and of what lies on it, by run, kg.
+
+    Where the area was not recorded, the mass given is that of the whole slider.
+    """
+    area_m2 = np.nan_to_num(runs["area_cm2"].to_numpy(float)) * 1e-4
+    cloth = nominal.get("rho_kg_m2", 0.0) * area_m2
+    return cloth, runs["added_mass_g"].to_numpy(float) * 1e-3
+
+
+def sampled(value: np.ndarray, grid_step: np.ndarray, grid_point: np.ndarray) -> np.ndarray:
+    """Mean reading of a slip at ``value`` that sampling puts in the middle of its grid cell.
+
+    A saw tooth, smoothed by the scatter of slips (taken as 5 %); cells repeat from run to run, so
+    without it the error would not average out.
+    """
+    step = np.where(grid_step > 0, grid_step, 1.0)
+    blur = np.maximum(0.05 * np.abs(value) / step, 0.2)
+    phase = 2 * np.pi * (value - grid_point) / step
+    tooth = sum(
+        np.exp(-2 * (np.pi * k * blur) ** 2) * np.sin(k * phase) / (np.pi * k) for k in range(1, 4)
+    )
+    return value + np.where(grid_step > 0, step * tooth, 0.0)
+
 
 Features = Callable[[Mapping[str, pd.DataFrame], Mapping[str, float], bool], Block | None]
 

@@ -13,16 +13,21 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from slipstitch.criticise.protocols.block import (
+from slipstitch.criticise.protocols.protocol import (
+    ANGLE_DEG,
+    RUN_COLUMNS,
     USUAL_AREA_M2,
     Block,
-    conditions_of,
+    Protocol,
+    Quantity,
+    contacts_of,
     covariates_of,
     downhill_rad,
     feature_rows,
+    masses_of,
+    number,
+    text,
 )
-from slipstitch.criticise.protocols.columns import ANGLE_DEG, RUN_COLUMNS, number, text
-from slipstitch.criticise.protocols.protocol import Protocol, Quantity
 from slipstitch.criticise.traces import Signal
 from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.friction_law import Contact
@@ -121,8 +126,7 @@ def features(tables, nominal, measured) -> PushBlock | None:
     common = covariates_of(runs, "push_azimuth_deg")
     area = runs["area_cm2"].to_numpy(float) * 1e-4
     known = ~np.isnan(area)
-    cloth = nominal.get("rho_kg_m2", 0.0) * np.where(known, area, 0.0)
-    added = runs["added_mass_g"].to_numpy(float) * 1e-3
+    cloth, added = masses_of(runs, nominal)
     mass, speed = cloth + added, runs["speed_mm_s"].to_numpy(float) * 1e-3
     u = runs["u_force_mN"].to_numpy(float)
     stiffness = np.full(len(runs), USUAL_STIFFNESS_N_M)
@@ -156,13 +160,8 @@ def features(tables, nominal, measured) -> PushBlock | None:
     index, rows = feature_rows(common, lines)
     static = (rows["quantity"] == PEAK).to_numpy()
     rows["static"] = static
-    contact = {
-        "normal_force_N": mass[index] * GRAVITY_M_S2,
-        "area_m2": np.where(known, area, USUAL_AREA_M2)[index],
-        **conditions_of(rows),
-    }
-    at_rest = Contact(dwell_s=rows["dwell_s"].to_numpy(float), **contact)
-    in_motion = Contact(speed_m_s=speed[index], **contact)
+    area = np.where(known, area, USUAL_AREA_M2)
+    at_rest, in_motion = contacts_of(rows, mass[index] * GRAVITY_M_S2, area[index], speed[index])
     rows["dwell_s"] = np.where(static, rows["dwell_s"], np.nan)
     rows["speed_mm_s"] = np.where(static, np.nan, 1e3 * speed[index])
     rows["load_ratio"] = np.where(known[index], at_rest.load_ratio(), np.nan)

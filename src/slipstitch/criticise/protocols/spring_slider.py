@@ -14,16 +14,21 @@ import pandas as pd
 from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.signal import find_peaks
 
-from slipstitch.criticise.protocols.block import (
+from slipstitch.criticise.protocols.protocol import (
+    ANGLE_DEG,
+    RUN_COLUMNS,
     USUAL_AREA_M2,
     Block,
-    conditions_of,
+    Protocol,
+    Quantity,
+    contacts_of,
     covariates_of,
     downhill_rad,
     feature_rows,
+    masses_of,
+    number,
+    text,
 )
-from slipstitch.criticise.protocols.columns import ANGLE_DEG, RUN_COLUMNS, number, text
-from slipstitch.criticise.protocols.protocol import Protocol, Quantity
 from slipstitch.criticise.protocols.stick_slip import Slider, steady_cycle, steady_force
 from slipstitch.criticise.protocols.trace_noise import TraceNoise, noise_of, off_neighbours
 from slipstitch.criticise.traces import Signal
@@ -293,10 +298,8 @@ def features(tables, nominal, measured) -> SpringSliderBlock | None:
     common = covariates_of(runs, "stage_azimuth_deg")
     area = runs["area_cm2"].to_numpy(float) * 1e-4
     known = ~np.isnan(area)
-    added = runs["added_mass_g"].to_numpy(float) * 1e-3
-    # Where the area was not recorded, the mass given is that of the whole slider.
-    cloth = nominal.get("rho_kg_m2", 0.0) * np.where(known, area, 0.0)
     area = np.where(known, area, USUAL_AREA_M2)
+    cloth, added = masses_of(runs, nominal)
     mass = cloth + added
     spring = runs["spring_N_m"].to_numpy(float)
     speed = runs["speed_mm_s"].to_numpy(float) * 1e-3
@@ -324,15 +327,10 @@ def features(tables, nominal, measured) -> SpringSliderBlock | None:
     static = (rows["quantity"] != LEVEL).to_numpy()
     first = (rows["quantity"] == FIRST_SWING).to_numpy()
     rows["static"] = static
-    contact = {
-        "normal_force_N": mass[index] * GRAVITY_M_S2,
-        "area_m2": area[index],
-        **conditions_of(rows),
-    }
-    at_rest = Contact(dwell_s=rows["dwell_s"].to_numpy(float), **contact)
-    in_motion = Contact(speed_m_s=speed[index], **contact)
+    load = mass[index] * GRAVITY_M_S2
+    at_rest, in_motion = contacts_of(rows, load, area[index], speed[index])
     # The stick that a usual excess would make: the measured one grows with the drop itself.
-    stick = 2 * USUAL_EXCESS * contact["normal_force_N"] / (spring * speed)[index]
+    stick = 2 * USUAL_EXCESS * load / (spring * speed)[index]
     rows["dwell_s"] = np.where(first, rows["dwell_s"], np.where(static, stick, np.nan))
     rows["speed_mm_s"] = np.where(static, np.nan, 1e3 * speed[index])
     rows["load_ratio"] = np.where(known[index], at_rest.load_ratio(), np.nan)

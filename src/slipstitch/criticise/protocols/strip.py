@@ -10,9 +10,18 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import RectBivariateSpline, make_interp_spline
 
-from slipstitch.criticise.protocols.block import Block, conditions_of, covariates_of, downhill_rad
-from slipstitch.criticise.protocols.columns import ANGLE_DEG, RUN_COLUMNS, number, text
-from slipstitch.criticise.protocols.protocol import Protocol, Quantity
+from slipstitch.criticise.protocols.protocol import (
+    ANGLE_DEG,
+    RUN_COLUMNS,
+    Block,
+    Protocol,
+    Quantity,
+    conditions_of,
+    covariates_of,
+    downhill_rad,
+    number,
+    text,
+)
 from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.friction_law import Contact, FrictionLaw
 

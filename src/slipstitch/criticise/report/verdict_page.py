@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from slipstitch.base.page.figures import svg, svg_element
 from slipstitch.base.page.palette import BLUE, DOUBT, GOOD, SOFT, VERMILION
 from slipstitch.base.page.templates import render
+from slipstitch.base.page.wording import percent, with_interval
 from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.inference.fit import Fit
-from slipstitch.criticise.report.covariate_panels import covariate_picture
-from slipstitch.criticise.report.discrepancy_panel import discrepancy_picture
-from slipstitch.criticise.report.resimulation import before_and_after
 from slipstitch.criticise.report.verdict_pictures import (
+    before_and_after_picture,
+    covariate_picture,
+    discrepancy_picture,
     prediction_picture,
     ranking_picture,
     residual_picture,
@@ -77,3 +79,35 @@ def left_over(verdict: dict, analysis: Analysis) -> str:
 def _extended(verdict: dict, analysis: Analysis) -> Fit | None:
     named = verdict["verdict"] in ("cause", "confounded")
     return analysis.chosen.fitted if named and analysis.chosen else None
+
+
+def before_and_after(again: Resimulation) -> dict[str, Any]:
+    """What the page shows of the runs that were simulated again."""
+    summary = again.summary
+    rows = (
+        ("trailing edge", summary["quantities"]["te_x_mm"]),
+        ("contact length", summary["quantities"]["contact_len_mm"]),
+        ("both", summary["all"]),
+    )
+    return {
+        "picture": svg_element(
+            before_and_after_picture(again.frames),
+            "Lag of the edge and contact length: measured and simulated again",
+        ),
+        "specimens": summary["all"]["specimens"],
+        "rows": [
+            {
+                "title": title,
+                "null_mm": entry["rmse_null_mm"],
+                "extended_mm": entry["rmse_extended_mm"],
+                "gain": _gain(entry),
+            }
+            for title, entry in rows
+        ],
+    }
+
+
+def _gain(entry: dict) -> str:
+    if entry["gain_ci95"] is None:
+        return percent(entry["gain"], digits=0)
+    return with_interval(entry["gain"], entry["gain_ci95"], 0, 100.0, " %")

@@ -1,4 +1,4 @@
-"""The three pictures of a verdict's page."""
+"""The pictures of a verdict's page."""
 
 from __future__ import annotations
 
@@ -7,16 +7,23 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from slipstitch.base.page.figures import new_figure, styled
-from slipstitch.base.page.palette import BLUE, FAINT, INK, PALE, VERMILION
+from slipstitch.base.page.figures import new_figure, plain_text, styled
+from slipstitch.base.page.palette import BLUE, FAINT, INK, INTERVAL, PALE, SERIES, VERMILION
 from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.covariates import COVARIATES
+from slipstitch.criticise.inference.discrepancy import along, specimen_factors
 from slipstitch.criticise.inference.fit import Fit
+from slipstitch.criticise.inference.structure import Outcome
 from slipstitch.criticise.protocols import QUANTITIES
 from slipstitch.criticise.verdict import Analysis
 
 NULL_COLOUR, EXTENDED_COLOUR = VERMILION, BLUE
 QUANTITY = "quantity"
+COLUMNS = 3  # of the picture of all covariates
+MOST_LABELS = 6
+SHOWN_RUNS = 3
+COLOURS = {"null": NULL_COLOUR, "extended": EXTENDED_COLOUR}
+LABELS = {"null": "plain Coulomb", "extended": "extended law"}
 
 
 def _figure(width: float = 6.4, height: float = 3.4) -> tuple[Figure, Axes]:
@@ -95,6 +102,12 @@ def series(axes, x, y, colour, label, seed=0):
     )
 
 
+def _fits(analysis: Analysis, extended: Fit | None) -> list[tuple[Fit, str, str]]:
+    """Each fit that is drawn, with its colour and label."""
+    fits = [(analysis.null, NULL_COLOUR, "plain Coulomb")]
+    return fits + ([(extended, EXTENDED_COLOUR, "extended")] if extended is not None else [])
+
+
 def _by_quantity(axes, analysis, fits):
     rows = analysis.measurements.rows
     names = [q for q in QUANTITIES if (rows["quantity"] == q).any()]
@@ -124,9 +137,7 @@ def residual_picture(analysis: Analysis, extended: Fit | None) -> Figure:
     """Residuals of the null (and of the extended model) against the telling covariate."""
     covariate = telling_covariate(analysis)
     figure, axes = _figure()
-    fits = [(analysis.null, NULL_COLOUR, "plain Coulomb")]
-    if extended is not None:
-        fits.append((extended, EXTENDED_COLOUR, "extended"))
+    fits = _fits(analysis, extended)
     if covariate == QUANTITY or COVARIATES[covariate].text:
         _by_quantity(axes, analysis, fits)
     else:
@@ -148,15 +159,7 @@ def residual_picture(analysis: Analysis, extended: Fit | None) -> Figure:
 
 def pattern(axes, analysis, covariate, outcome):
     """The shape that the strongest test along a covariate found, drawn through the residuals."""
-    best = max(
-        (
-            i
-            for i, t in enumerate(outcome.tests)
-            if t.covariate == covariate and t.family == "generic"
-        ),
-        key=lambda i: outcome.log_p[i],
-        default=None,
-    )
+    best = _strongest(outcome, covariate)
     if best is None:
         return
     d = analysis.state.sensitivity
@@ -201,11 +204,8 @@ def ranking_picture(verdict: dict, most: int = 10) -> Figure:
 def prediction_picture(analysis: Analysis, extended: Fit | None) -> Figure:
     """Standardised residuals of all features, null and extended, against a standard normal."""
     figure, axes = _figure()
-    fits = [(analysis.null, NULL_COLOUR, "plain Coulomb")]
-    if extended is not None:
-        fits.append((extended, EXTENDED_COLOUR, "extended"))
     edges = [*np.linspace(-6, 6, 41)]
-    for fitted, colour, label in fits:
+    for fitted, colour, label in _fits(analysis, extended):
         z = standardised_residuals(analysis, fitted)
         z = z[analysis.state.keep & ~analysis.measurements.lower_bound]
         if not len(z):  # bounds only
@@ -230,4 +230,112 @@ def prediction_picture(analysis: Analysis, extended: Fit | None) -> Figure:
     axes.set_xlabel("measured − model, in standard deviations (beyond ±6 at the edge)")
     axes.set_yticks([])
     axes.legend(frameon=False)
+    return figure
+
+
+@styled
+def covariate_picture(analysis: Analysis) -> Figure | None:
+    """A panel a covariate, with the strongest shape that was tested along it and its p.
+
+    None where no covariate was recorded at more than one level.
+    """
+    panels = []
+    residual, good = relative_residuals(analysis, analysis.null)
+    for name in COVARIATES:
+        x = drawn(analysis, name)
+        shown = good & np.isfinite(x) & np.isfinite(residual)
+        if len(np.unique(x[shown])) > 1:
+            panels.append((name, x[shown], residual[shown]))
+    if not panels:
+        return None
+    rows = -(-len(panels) // COLUMNS)
+    figure = new_figure(9.0, 2.5 * rows)
+    grid = figure.subplots(rows, COLUMNS, squeeze=False)
+    for axes in grid.flat[len(panels) :]:
+        axes.remove()
+    outcome = analysis.null_outcome
+    for axes, (name, x, y) in zip(grid.flat, panels, strict=False):
+        series(axes, x, y, NULL_COLOUR, None)
+        found = _strongest(outcome, name)
+        if found is not None:
+            p = outcome.adjusted[found]
+            axes.set_title(f"p = {p:.2g}", color=INK if p < 0.05 else FAINT)
+            if not COVARIATES[name].text:
+                pattern(axes, analysis, name, outcome)
+        axes.set_xlabel(COVARIATES[name].axis_label)
+        if COVARIATES[name].text:
+            labels = sorted({label for label in analysis.measurements.rows[name] if label})
+            axes.set_xticks(range(len(labels)), map(plain_text, labels))
+        axes.axhline(0, color=FAINT, lw=0.8, zorder=0)
+        axes.tick_params(labelsize=8)
+    for row in grid:
+        row[0].set_ylabel("% of friction")
+    return figure
+
+
+def _strongest(outcome: Outcome, name: str) -> int | None:
+    own = [
+        i
+        for i, test in enumerate(outcome.tests)
+        if test.covariate == name and test.family == "generic" and np.isfinite(outcome.log_p[i])
+    ]
+    return max(own, key=lambda i: outcome.log_p[i], default=None)
+
+
+@styled
+def discrepancy_picture(found: dict, analysis: Analysis) -> Figure:
+    """``found`` is the verdict's ``discrepancy`` with a covariate."""
+    figure = new_figure(6.4, 3.4)
+    axes = figure.add_subplot()
+    covariate = COVARIATES[found["covariate"]]
+    first, last = covariate.searched(np.array(found["knots"])[[0, -1]])
+    fine = np.linspace(float(first), float(last), 201)
+    plain = 10**fine if covariate.logarithmic else fine
+    low, high = np.array(found["ci95"]).T
+    axes.fill_between(
+        plain, along(found, plain, low), along(found, plain, high), color=INTERVAL, label="95 %"
+    )
+    axes.plot(plain, along(found, plain, found["factors"]), color=INK, lw=2, label="smooth factor")
+    points = specimen_factors(found, analysis.measurements, analysis.null, analysis.null_state)
+    for colour, (protocol, own) in zip(SERIES, points.groupby("protocol"), strict=False):
+        axes.plot(own["at"], own["factor"], "o", ms=4, mew=0, alpha=0.6, color=colour)
+        axes.plot([], [], "o", ms=4, color=colour, label=f"specimens of {protocol}")
+    axes.axhline(1, color=FAINT, lw=0.8, zorder=0)
+    if covariate.logarithmic:
+        axes.set_xscale("log")
+        axes.xaxis.set_major_formatter("{x:g}")
+        if len(found["knots"]) <= MOST_LABELS:
+            axes.set_xticks(found["knots"], minor=False)
+            axes.set_xticks([], minor=True)
+    unit = f" ({covariate.unit})" if covariate.unit else ""
+    axes.set_xlabel(f"{covariate.title}{unit}")
+    axes.set_ylabel("factor on the coefficient")
+    axes.legend(frameon=False, fontsize=8)
+    return figure
+
+
+@styled
+def before_and_after_picture(frames: pd.DataFrame) -> Figure:
+    change = (frames["te_x_mm_null"] - frames["te_x_mm_extended"]).abs()
+    order = change.groupby(frames["run_id"]).mean().sort_values(kind="stable").index
+    chosen = [order[i] for i in np.linspace(len(order) - 1, 0, SHOWN_RUNS).astype(int)]
+    figure = new_figure(7.2, 4.2)
+    panels = figure.subplots(2, SHOWN_RUNS, sharex=True, sharey="row", squeeze=False)
+    for column, run in enumerate(chosen):
+        own = frames[frames["run_id"] == run].sort_values("x_stage_mm")
+        stage = own["x_stage_mm"].to_numpy()
+        for row, quantity in enumerate(("te_x_mm", "contact_len_mm")):
+            axes = panels[row, column]
+            base = stage if quantity == "te_x_mm" else 0.0
+            sign = -1.0 if quantity == "te_x_mm" else 1.0
+            axes.plot(stage, base + sign * own[quantity], ".", color=FAINT, ms=4)
+            for name, colour in COLOURS.items():
+                values = base + sign * own[f"{quantity}_{name}"]
+                axes.plot(stage, values, color=colour, lw=1.4, label=LABELS[name])
+            axes.tick_params(labelsize=8)
+        panels[0, column].set_title(plain_text(f"run {run}"))
+        panels[1, column].set_xlabel("stage (mm)")
+    panels[0, 0].set_ylabel("lag of the edge (mm)")
+    panels[1, 0].set_ylabel("contact length (mm)")
+    panels[0, 0].legend(frameon=False, fontsize=8, loc="lower right")
     return figure
