@@ -43,7 +43,7 @@ def test_paper_scale_has_the_jobs_that_its_estimate_says(workflow, record_proper
 
 def test_demo_scale_is_small_and_a_dry_run_writes_no_results(workflow):
     counts = planned(workflow, "all")
-    assert counts["simulate_one"] == 3 * 4 * 2
+    assert counts["simulate_one"] == 2 * 6 * 1
     assert counts["total"] < 200
     assert not (workflow.folder / "results").exists()
 
@@ -70,7 +70,7 @@ def test_every_stage_is_a_target(workflow, target):
 
 def test_several_trainings_of_the_instrument_are_averaged(workflow):
     counts = planned(workflow, "instrument", "instrument={seeds: [0, 1]}")
-    assert (counts["instrument_one"], counts["instrument_ensemble"]) == (2 * 2, 2)
+    assert (counts["instrument_one"], counts["instrument_ensemble"]) == (2, 1)
 
 
 def test_a_dataset_that_also_calibrates_is_made_before(workflow, tmp_path):
@@ -79,7 +79,7 @@ def test_a_dataset_that_also_calibrates_is_made_before(workflow, tmp_path):
     assert answer.returncode == 2
     assert f"instrument.calibration_datasets: {tmp_path}: no manifest.parquet" in answer.stderr
     (tmp_path / "manifest.parquet").touch()
-    assert planned(workflow, "instrument", override)["instrument_ensemble"] == 2
+    assert planned(workflow, "instrument", override)["instrument_ensemble"] == 1
 
 
 def test_a_release_needs_no_network(workflow):
@@ -108,7 +108,7 @@ def test_the_ablations_are_a_target_of_their_own(workflow):
 
 def test_single_keys_from_the_command_line(workflow):
     counts = planned(workflow, "simulate", "grid={frictions: [0.2, 4e-1], replicates: 1}")
-    assert counts["simulate_one"] == 3 * 2 * 1
+    assert counts["simulate_one"] == 2 * 2 * 1
 
 
 ONE_PAIR = "grid={materials: [gray-interlock], frictions: [0.3], replicates: 1}"
@@ -133,7 +133,11 @@ REFUSED = [
         "grid.replicates must be at least 2",
     ),
     ("render", [ONE_PAIR, *BENCHES], "nothing to hold out in 1 material(s)"),
-    ("all", ["grid={materials: [gray-interlock]}"], "grid.materials: has 1; the material"),
+    (
+        "all",
+        ["grid={materials: [gray-interlock], replicates: 2}"],
+        "grid.materials: has 1; the material",
+    ),
     ("all", ["grid={frictions: [0.5, 2.0]}"], "grid.frictions: 2 is above what the instrument"),
 ]
 
@@ -159,7 +163,7 @@ def test_a_single_pair_can_be_simulated_and_filmed(workflow, target, overrides):
 
 def test_what_no_network_can_learn_may_still_be_a_dataset_or_an_instrument(workflow):
     assert planned(workflow, "sample", "grid={frictions: [0.5, 2.0]}")
-    assert planned(workflow, "instrument", "grid={materials: [gray-interlock]}")
+    assert planned(workflow, "instrument", "grid={materials: [gray-interlock], replicates: 2}")
 
 
 def test_measured_cases_need_no_simulation(workflow):
