@@ -26,6 +26,7 @@ def test_an_effect_well_above_the_smallest_detectable_is_seen_and_one_far_below_
     assert null.verdict == "none"
     smallest = null.detectable["nap"].size
     assert 0.005 < smallest < 0.2
+    assert smallest <= null.detectable["nap"].named < np.inf
     for factor, seen in ((2.0, True), (0.2, False)):
         folder = tmp_path / f"{factor}"
         effects = {"nap": {"nap": factor * smallest}}

@@ -61,12 +61,15 @@ def test_a_stage_is_blamed_for_lost_motion_only_against_its_prior_odds():
 
 
 def test_a_shape_along_the_own_covariate_counts_by_itself():
-    def left(covariate, log_p):
+    def left(covariate, log_p, statistic=9.0):
         tests = [Test(np.zeros((1, 1)), covariate=name) for name in (covariate, "rh_pct")]
-        return SimpleNamespace(tests=tests, log_p=np.array([log_p, 0.1]))
+        log_p, statistic = np.array([log_p, 0.1]), np.array([statistic, 0.1])
+        return SimpleNamespace(tests=tests, log_p=log_p, statistic=statistic)
 
-    ageing = SimpleNamespace(causes=("ageing",))
+    ageing = SimpleNamespace(causes=("ageing",), credit=100.0)
+    mass = SimpleNamespace(causes=("mass_error",), credit=100.0)
     assert left_along_own(ageing, left("dwell_s", 3.0)) == "dwell_s"
+    assert left_along_own(ageing, left("dwell_s", 3.0, 4.0)) is None
     assert left_along_own(ageing, left("dwell_s", 1.5)) is None
     assert left_along_own(ageing, left("pos_x_mm", 9.0)) is None
-    assert left_along_own(SimpleNamespace(causes=("mass_error",)), left("pos_x_mm", 9.0)) is None
+    assert left_along_own(mass, left("pos_x_mm", 9.0)) is None

@@ -69,7 +69,7 @@ def criticise(arguments: Arguments) -> int:
     """Criticise one case, or what its design could show; exit code 0 whatever the verdict."""
     from slipstitch.base.progress import note
     from slipstitch.criticise.case import read_case
-    from slipstitch.criticise.criticism_files import criticise_to_files
+    from slipstitch.criticise.criticism_files import Paths, criticise_to_files
 
     if arguments.power:
         ignored = ("report", "picture", "model", "resimulate", "validate")
@@ -86,18 +86,15 @@ def criticise(arguments: Arguments) -> int:
         print(
             f"{Path(arguments.case) / name}: not a table of any protocol, ignored", file=sys.stderr
         )
-    line = criticise_to_files(
-        case,
-        arguments.seed,
-        arguments.replicates,
-        campaigns=arguments.campaigns,
-        verdict_path=arguments.out,
-        page_path=arguments.report,
-        picture_path=arguments.picture,
-        model_path=arguments.model,
-        resimulation_path=arguments.resimulate,
+    paths = Paths(
+        arguments.out,
+        page=arguments.report,
+        picture=arguments.picture,
+        model=arguments.model,
+        resimulation=arguments.resimulate,
     )
-    print(line)
+    seed, replicates = arguments.seed, arguments.replicates
+    print(criticise_to_files(case, seed, replicates, paths, arguments.campaigns))
     if arguments.validate:
         _validate(arguments.out, Path(arguments.validate))
     return 0

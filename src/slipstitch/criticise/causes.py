@@ -128,7 +128,7 @@ _ENTRIES = (
     BenchMechanism(
         "backlash",
         "the stage loses motion at the reversal",
-        (BenchParameter("backlash", "mm", 0.0, 0.2, -2.0, 20.0, sets="backlash_m", to_si=1e-3),),
+        (BenchParameter("backlash", "mm", 0.0, 0.2, 0.0, 20.0, sets="backlash_m", to_si=1e-3),),
         direct_check=("a dial gauge on the stage at the reversal", {"backlash": 0.02}),
     ),
     BenchMechanism(

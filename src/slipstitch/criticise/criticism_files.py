@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -30,17 +30,19 @@ def finite(content: Any) -> Any:
     return None if isinstance(content, float) and not math.isfinite(content) else content
 
 
+@dataclass(frozen=True)
+class Paths:
+    """What is written where: JSON, HTML (or Markdown, by its name), SVG, YAML, JSON."""
+
+    verdict: str | Path
+    page: str | Path | None = None
+    picture: str | Path | None = None
+    model: str | Path | None = None
+    resimulation: str | Path | None = None
+
+
 def criticise_to_files(
-    case: Case,
-    seed: int,
-    replicates: int,
-    *,
-    campaigns: int = 0,
-    verdict_path: str,
-    page_path: str | None,
-    picture_path: str | None,
-    model_path: str | None,
-    resimulation_path: str | None,
+    case: Case, seed: int, replicates: int, paths: Paths, campaigns: int = 0
 ) -> str:
     """Criticise a case, write what is asked for, and say in a sentence what was found.
 
@@ -49,26 +51,23 @@ def criticise_to_files(
     case : Case
     seed, replicates : int
         Of the simulated maxima; simulated data sets behind each family-wise p.
+    paths : Paths
+        All but that of the verdict may be None.
     campaigns : int
         Simulated in which nothing is hidden, for the rate of false alarms.
-    verdict_path, page_path, picture_path, model_path, resimulation_path : path
-        JSON, HTML (or Markdown, by its name), SVG, YAML, JSON; all but the verdict may be None.
     """
     started = start_clock()
     analysis = analyse(assemble(case), seed, replicates)
     verdict = verdict_of(case, analysis, seed, __version__)
-    verdict["certificate"]["false_alarm_rate"] = _false_alarm_rate(
-        replace(analysis.measurements, sound_sensors=False),
-        analysis.null,
-        analysis.null_state.scatters,
-        campaigns,
-        seed,
-        replicates,
-    )
+    if campaigns:
+        m = replace(analysis.measurements, sound_sensors=False)
+        scatters = analysis.null_state.scatters
+        rate = false_alarms(m, analysis.null, scatters, campaigns, seed, replicates)
+        verdict["certificate"]["false_alarm_rate"] = rate.as_dict()
     record = _record(case, seed, replicates, campaigns, started)
-    write_json(verdict_path, finite(verdict), record)
+    write_json(paths.verdict, finite(verdict), record)
     again = None
-    if resimulation_path:
+    if paths.resimulation:
         from slipstitch.criticise.resimulation import FEWEST_SPECIMENS, resimulate_left_out
 
         why = "no drop-and-drag runs to simulate"
@@ -77,19 +76,19 @@ def criticise_to_files(
             why = f"fewer than {FEWEST_SPECIMENS} specimens: none can be left out"
         summary = again.summary if again else {"case": case.name, "reason": why}
         record = _record(case, seed, replicates, campaigns, started)
-        write_json(resimulation_path, finite(summary), record)
-    if page_path or picture_path:
+        write_json(paths.resimulation, finite(summary), record)
+    if paths.page or paths.picture:
         from slipstitch.criticise.report import left_over, markdown, page
 
-        if page_path:
-            as_text = Path(page_path).suffix == ".md"
+        if paths.page:
+            as_text = Path(paths.page).suffix == ".md"
             text = markdown(case, verdict, analysis) if as_text else page(verdict, analysis, again)
-            write_text(page_path, text, record)
-        if picture_path:
-            write_text(picture_path, left_over(verdict, analysis), record)
-    if model_path:
+            write_text(paths.page, text, record)
+        if paths.picture:
+            write_text(paths.picture, left_over(verdict, analysis), record)
+    if paths.model:
         text = yaml.safe_dump(extended_model(verdict), sort_keys=False)
-        write_text(model_path, text, record)
+        write_text(paths.model, text, record)
     return statement(verdict)
 
 
@@ -106,12 +105,6 @@ def _record(
     )
 
 
-def _false_alarm_rate(measurements, null, scatters, campaigns, seed, replicates) -> dict | None:
-    if not campaigns:
-        return None
-    return false_alarms(measurements, null, scatters, campaigns, seed, replicates).as_dict()
-
-
 def power_to_file(case: Case, seed: int, replicates: int, path: str, campaigns: int = 0) -> str:
     """Write what a design could show as JSON, and say it, a line a mechanism."""
     started = start_clock()
@@ -120,8 +113,9 @@ def power_to_file(case: Case, seed: int, replicates: int, path: str, campaigns: 
     plain, scatters = plain_model(design, assumed)
     found = of_design(design, plain, scatters, SIGNIFICANCE, seed, replicates)
     shown = certificate(found, SIGNIFICANCE)
-    rate = _false_alarm_rate(design, plain, scatters, campaigns, seed, replicates)
-    shown["false_alarm_rate"] = rate
+    if campaigns:
+        rate = false_alarms(design, plain, scatters, campaigns, seed, replicates)
+        shown["false_alarm_rate"] = rate.as_dict()
     record = _record(case, seed, replicates, campaigns, started)
     write_json(path, {"case": case.name, "seed": seed, "assumed": assumed, **shown}, record)
     lines = ["assumed (meta.json may say otherwise under design):"]
@@ -136,7 +130,11 @@ def power_to_file(case: Case, seed: int, replicates: int, path: str, campaigns: 
         lines[-1] = f"{case.name}: every reading would be only a bound: nothing can be seen"
     for name, entry in shown["smallest_detectable"].items():
         size = "never" if entry["size"] is None else f"{entry['size']:.3g} {entry['unit']}"
-        lines.append(f"  {name}: {size}")
-    if rate:
+        named = "only noticed"
+        if entry["named_from"] is not None:
+            named = f"named from {entry['named_from']:.3g} {entry['unit']}"
+        rest = "" if entry["size"] is None else f", {named}"
+        lines.append(f"  {name}: {size}{rest}")
+    if campaigns:
         lines.append(false_alarm_words(shown))
     return "\n".join(lines)

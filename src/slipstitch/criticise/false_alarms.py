@@ -45,7 +45,7 @@ def false_alarms(
     Instruments and scatters are normal, sensors' zeros as usual; bounds stay what they are.
     """
     rng = np.random.default_rng([seed, 23])
-    groups = make_groups(measurements, null.sensitivity(), ~measurements.lower_bound)
+    groups = make_groups(measurements, null.sensitivity())
     alarms = 0
     for number in range(campaigns):
         y = np.where(measurements.lower_bound, measurements.y, null.prediction)

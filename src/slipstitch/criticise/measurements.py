@@ -46,6 +46,15 @@ UNKNOWN_LOG_COEFFICIENT = -1.2
 LOG_STEP = 0.01
 
 
+@dataclass(frozen=True)
+class Outlier:
+    """A run, or one feature of it, that lies far off what any model says."""
+
+    run_id: str
+    reason: str
+    features: np.ndarray
+
+
 @dataclass
 class Measurements:
     """Features of every protocol, in one order.
@@ -55,10 +64,12 @@ class Measurements:
     rows : one line a feature (see :class:`Block`), with ``protocol``.
     y, u : (n,) measured values and instrument uncertainties.
     run, specimen : (n,) numbers of the run and of the specimen (unique over protocols).
+    astray : (n,) variance of ln mu of runs that lie far off, beyond the others' scatter.
     sound_sensors : no sensor's zero is allowed for.
     further_zeros : (protocol, zero) that are allowed for in this case besides the usual ones.
     implausible : readings or sizes that must be of another unit, a line each.
     findings : what is wrong with the data themselves.
+    outliers : those that are allowed for in ``u`` and ``astray``.
     """
 
     blocks: list[Block]
@@ -69,10 +80,12 @@ class Measurements:
     specimen: np.ndarray
     protocol: np.ndarray
     lower_bound: np.ndarray
+    astray: np.ndarray
     sound_sensors: bool = False
     further_zeros: tuple[tuple[str, Zero], ...] = ()
     implausible: tuple[str, ...] = ()
     findings: tuple[DataFinding, ...] = ()
+    outliers: tuple[Outlier, ...] = ()
     remembered: dict[tuple, np.ndarray] = field(default_factory=dict, repr=False)
 
     @property
@@ -158,6 +171,19 @@ class Measurements:
         return (moved - base) / LOG_STEP
 
     @property
+    def usual(self) -> np.ndarray:
+        """(n,) True for features that are no outliers."""
+        usual = np.ones(len(self.y), bool)
+        for outlier in self.outliers:
+            usual[outlier.features] = False
+        return usual
+
+    @property
+    def runs(self) -> int:
+        """Number of runs: the observations that the BIC counts."""
+        return len(np.unique(self.run))
+
+    @property
     def of_friction(self) -> np.ndarray:
         """(n,) True where friction acts on the feature, not the instrument alone."""
         return ~self.rows["quantity"].isin(INSTRUMENT_QUANTITIES).to_numpy()
@@ -234,4 +260,5 @@ def measurements_of(blocks: list[Block]) -> Measurements:
         pd.factorize(rows["protocol"] + "/" + rows["specimen_id"])[0],
         rows["protocol"].to_numpy(str),
         rows["lower_bound"].to_numpy(bool),
+        np.zeros(len(rows)),
     )

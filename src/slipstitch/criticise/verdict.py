@@ -10,6 +10,7 @@ import numpy as np
 
 from slipstitch.criticise.covariates import COVARIATES
 from slipstitch.criticise.inference.candidates import (
+    FORM_SHARE,
     LEFTOVER_SIGNIFICANCE,
     OWN_SIGNIFICANCE,
     STANDS_BESIDE,
@@ -92,7 +93,7 @@ def _structure_left(e: Evidence) -> str | None:
 
 def _left_along_own(e: Evidence) -> str | None:
     covariate = left_along_own(e.best.chosen, e.best.left)
-    if covariate is None or e.best.chosen.credit >= STANDS_BESIDE:
+    if covariate is None:
         return None
     return f"structure is left along the {COVARIATES[covariate].title}, which the cause acts by"
 
@@ -158,10 +159,7 @@ RULES: tuple[Rule, ...] = (
         "only bounds",
         "Every reading is only a bound.",
         "insufficient",
-        _where(
-            lambda e: bool(e.measurements.lower_bound[e.null_state.keep].all()),
-            "every reading is only a bound",
-        ),
+        _where(lambda e: bool(e.measurements.lower_bound.all()), "every reading is only a bound"),
     ),
     Rule(
         "blind design",
@@ -201,7 +199,7 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "structure left along its own covariate",
         "What is left has a shape along the covariate of a cause that is significant by itself "
-        f"(p below {OWN_SIGNIFICANCE:g}), and the credit is below {STANDS_BESIDE:g}.",
+        f"(p below {OWN_SIGNIFICANCE:g}), and more than {100 * FORM_SHARE:g} % of its credit.",
         "unknown",
         _left_along_own,
         of_best=True,
@@ -234,9 +232,7 @@ RULES: tuple[Rule, ...] = (
         "A shape outside the library describes the data better than any mechanism.",
         "unknown",
         _where(
-            lambda e: (
-                not explains(e.null_outcome, e.best.chosen, e.measurements, e.null_state.keep)
-            ),
+            lambda e: not explains(e.null_outcome, e.best.chosen, e.measurements),
             "a shape outside the library describes the data better than any mechanism",
         ),
         of_best=True,
@@ -325,9 +321,8 @@ class Analysis:
         return [*m.findings, *noise_findings(m), *zero_findings(m, fitted, self.state)]
 
 
-def judged(measurements: Measurements, seed: int, replicates: int) -> Analysis:
+def judged(evidence: Evidence) -> Analysis:
     """Apply the rules in their order."""
-    evidence = Evidence(measurements, seed, replicates)
     for rule in RULES:
         reason = rule.reason(evidence)
         if reason is not None:
@@ -343,25 +338,30 @@ def analyse(measurements: Measurements, seed: int = 1, replicates: int = 300) ->
     seed : of the simulated maxima; the same data and seed give the same verdict.
     replicates : simulated data sets behind every family-wise p.
     """
-    found = judged(measurements, seed, replicates)
+    found = judged(Evidence(measurements, seed, replicates))
     tares = _unsure_tares(found)
     if tares:
         measurements = replace(measurements, further_zeros=tares)
-        found = judged(measurements, seed, replicates)
+        found = judged(Evidence(measurements, seed, replicates))
     if found.verdict != "none" or not measurements.zeros:
         return found
     # Zeros may have taken a cause's place: does one explain the data as well without them?
-    sound = replace(measurements, sound_sensors=True)
-    null, keep, scatters = found.null, found.null_state.keep, found.null_state.scatters
-    zeros = refit(measurements, keep, (), null, scatters).log_likelihood
-    plain = refit(sound, keep, (), null, scatters).log_likelihood
+    state = found.null_state
+    null, scatters, d = found.null, state.scatters, state.sensitivity
+    sound = replace(state.measurements, sound_sensors=True)
+    zeros = refit(state.measurements, (), null, scatters, d).log_likelihood
+    plain = refit(sound, (), null, scatters, d).log_likelihood
     if zeros - plain < ZEROS_NEEDED:
         return found
-    other = judged(sound, seed, replicates)
+    evidence = Evidence(replace(measurements, sound_sensors=True), seed, replicates)
+    promise = -min((c.bic for c in evidence.screened), default=0.0)
+    if not evidence.is_significant or plain + promise < zeros + 0.5 * TIE_BIC:
+        return found  # not even if the fit gains twice what its linear test promises
+    other = judged(evidence)
     chosen = other.chosen
     if other.verdict not in ("cause", "confounded") or chosen is None:
         return found
-    without = refit(sound, keep, chosen.causes, chosen.fitted, chosen.scatters).log_likelihood
+    without = refit(sound, chosen.causes, chosen.fitted, chosen.scatters, d).log_likelihood
     extra = len(chosen.fitted.values) - len(null.values)
     without -= 0.5 * extra * np.log(max(found.runs, 2))
     # Where zeros explain it about as well, nothing is said: of campaigns that hold nothing, a

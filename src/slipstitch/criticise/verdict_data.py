@@ -53,7 +53,7 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
         "reason": analysis.reason,
         "discrepancy": embedded_discrepancy(
             analysis.measurements, analysis.null, analysis.null_state, seed
-        ).as_dict()
+        )
         if analysis.verdict == "unknown"
         else None,
         "parameters": parameters,

@@ -46,7 +46,7 @@ def nuisance_columns(
     return np.column_stack(columns) if columns else None
 
 
-def alternatives(measurements: Measurements, fitted: Fit, keep: np.ndarray) -> Alternatives:
+def alternatives(measurements: Measurements, fitted: Fit) -> Alternatives:
     """Every mechanism beyond the fitted causes, and every generic shape."""
     sensitivity = fitted.sensitivity()
     tests, untestable = [], {}
@@ -72,21 +72,21 @@ def alternatives(measurements: Measurements, fitted: Fit, keep: np.ndarray) -> A
                 silent = unrecorded | (np.abs(change) < ROUNDING * measurements.u)
                 columns.append(np.where(silent, 0.0, change))
             column_values.append(np.column_stack(columns))
-        acting = np.any([np.any(c != 0, axis=1) for c in column_values], axis=0) & keep
+        acting = np.any([np.any(c != 0, axis=1) for c in column_values], axis=0)
         if not acting.any():
             silent = unrecorded.any()
             untestable[name] = (
                 "what drives it was not recorded" if silent else "no feature would reveal it"
             )
             continue
-        nuisance = nuisance_columns(measurements, unrecorded & keep, sensitivity)
+        nuisance = nuisance_columns(measurements, unrecorded, sensitivity)
         parameters = mechanism.tested_parameters()
         one_sided = len(parameters) == 1 and parameters[0].lower == parameters[0].null
         tests += [
             Test(columns, nuisance, mechanism=name, one_sided=one_sided)
             for columns in column_values
         ]
-    usable = keep & (sensitivity != 0) & measurements.of_friction
+    usable = (sensitivity != 0) & measurements.of_friction
     for shape in generic_shapes(measurements.rows, usable):
         column = measurements.rows[shape.covariate]
         empty = (column == "").to_numpy() if column.dtype == object else column.isna().to_numpy()

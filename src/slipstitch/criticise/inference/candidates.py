@@ -37,6 +37,9 @@ CHANCE_GAIN = 20.0
 # Credit below which a shape that is linear is worth comparing with a mechanism. A named law may be
 # off in its form: a shape that beats it by this share of its credit is no better.
 MODERATE, FORM_SHARE = 60.0, 0.05
+# Minus twice the log prior odds of a shape outside the library and a mechanism: one to seven, as
+# mechanisms are known because they are frequent.
+SHAPE_ODDS = 4.0
 # Credit that a cause must have beside the clearest shape that is left, to be named all the same.
 STANDS_BESIDE = 60.0
 # A rival by design explains at least this share of what the chosen model does.
@@ -62,25 +65,18 @@ def rarity(causes: tuple[str, ...]) -> float:
     return -2.0 * float(sum(np.log(HOW_COMMON.get(cause, 1.0)) for cause in causes))
 
 
-def number_of_runs(measurements: Measurements, keep: np.ndarray) -> int:
-    """Runs of which any feature is kept: the observations that the BIC counts."""
-    return len(np.unique(measurements.run[keep]))
-
-
 @dataclass
 class Judge:
     """Fits sets of causes, each with the scatter that suits it, and scores them against the null.
 
     Attributes
     ----------
-    keep : (n,) features that are not outliers.
     null : fit of the null, from which all start.
     scatters, sensitivity : of the null.
     inflation : of the mechanisms' test statistics.
     """
 
     measurements: Measurements
-    keep: np.ndarray
     null: Fit
     scatters: dict[str, Scatter]
     sensitivity: np.ndarray
@@ -93,19 +89,19 @@ class Judge:
         nuisance = self._nuisance(causes)
         base = self._base(nuisance)
         known = start.as_dict() if start is not None else {}
-        weights = Weights(m, self.sensitivity, self.keep, self.scatters, nuisance)
+        weights = Weights(m, self.sensitivity, self.scatters, nuisance)
         best = None
         for first in _starts(causes, known):
             found = fit(m, weights, causes, self.null.as_dict() | known | first)
             if best is None or found.chi2 < best.chi2:
                 best = found
-        best = refit(m, self.keep, causes, best, self.scatters, nuisance)
+        best = refit(m, causes, best, self.scatters, self.sensitivity, nuisance)
         largest = max([self.inflation.get(cause, 1.0) for cause in causes] + [1.0])
         # Inflation corrects gains by chance, which are small: only the first part is deflated.
         gained = max(2 * (best.log_likelihood - base.log_likelihood), 0.0)
         credit = gained - (1.0 - 1.0 / largest) * min(gained, CHANCE_GAIN)
         extra = len(best.fitted.parameters) - len(base.fitted.parameters)
-        cost = extra * np.log(max(number_of_runs(m, self.keep), 2)) + rarity(causes)
+        cost = extra * np.log(max(m.runs, 2)) + rarity(causes)
         return Candidate(causes, best.fitted, credit, cost - credit, best.scatters)
 
     def ranked(self, candidates: list[Candidate], fitted: bool = False) -> list[Candidate]:
@@ -115,9 +111,9 @@ class Judge:
 
     def credit_beside(self, chosen: Candidate, columns: np.ndarray) -> float:
         """Credit of a model over the null with columns (n, k) that are fitted freely in both."""
-        m, keep = self.measurements, self.keep
-        base = refit(m, keep, self.null.causes, self.null, self.scatters, columns)
-        best = refit(m, keep, chosen.causes, chosen.fitted, chosen.scatters, columns)
+        m, d = self.measurements, self.sensitivity
+        base = refit(m, self.null.causes, self.null, self.scatters, d, columns)
+        best = refit(m, chosen.causes, chosen.fitted, chosen.scatters, d, columns)
         return 2 * (best.log_likelihood - base.log_likelihood)
 
     def weights_of(
@@ -125,7 +121,7 @@ class Judge:
     ) -> Weights:
         """Weights of a state, free levels where what drives the causes was not recorded."""
         nuisance = self._nuisance(causes)
-        return Weights(measurements, state.sensitivity, state.keep, state.scatters, nuisance)
+        return Weights(measurements, state.sensitivity, state.scatters, nuisance)
 
     def tested(
         self, chosen: Candidate, measurements: Measurements, rng, replicates: int
@@ -135,10 +131,10 @@ class Judge:
         ``measurements`` are those without the law's own error.
         """
         m = with_law_error(measurements, chosen.fitted)
-        state = state_at(m, chosen.fitted, self.keep, chosen.scatters)
+        state = state_at(m, chosen.fitted, chosen.scatters)
         weights = self.weights_of(chosen.causes, state, m)
         fitted = fit(m, weights, chosen.causes, chosen.fitted.as_dict())
-        state = state_at(m, fitted, self.keep, state.scatters)
+        state = state_at(m, fitted, state.scatters)
         left = state.outcome(rng, MOST_ROUNDS * replicates, (LEFTOVER_SIGNIFICANCE,))
         return replace(chosen, fitted=fitted, scatters=state.scatters), state, left
 
@@ -146,13 +142,14 @@ class Judge:
         unrecorded = np.zeros(len(self.measurements.y), bool)
         for cause in causes:
             unrecorded |= self.measurements.unrecorded(cause)
-        return nuisance_columns(self.measurements, unrecorded & self.keep, self.sensitivity)
+        return nuisance_columns(self.measurements, unrecorded, self.sensitivity)
 
     def _base(self, nuisance: np.ndarray | None) -> Refit:
         key = b"" if nuisance is None else nuisance.tobytes()
         if key not in self.bases:
+            causes = self.null.causes
             self.bases[key] = refit(
-                self.measurements, self.keep, self.null.causes, self.null, self.scatters, nuisance
+                self.measurements, causes, self.null, self.scatters, self.sensitivity, nuisance
             )
         return self.bases[key]
 
@@ -172,7 +169,7 @@ def linear_ranking(state: State, outcome: Outcome) -> list[Candidate]:
     for test, ratio, log_p in zip(outcome.tests, outcome.statistic, outcome.log_p, strict=True):
         if test.mechanism is not None and np.isfinite(log_p):
             best[test.mechanism] = max(best.get(test.mechanism, 0.0), float(ratio))
-    cost = np.log(max(number_of_runs(state.measurements, state.keep), 2))
+    cost = np.log(max(state.measurements.runs, 2))
     found = []
     for name, ratio in best.items():
         bic = len(MECHANISMS[name].parameters) * cost + rarity((name,)) - ratio
@@ -198,14 +195,14 @@ def _starts(causes: tuple[str, ...], known: dict[str, float]) -> list[dict[str, 
     return [{k: v for part in parts for k, v in part.items()} for parts in combined]
 
 
-def explains(outcome: Outcome, chosen: Candidate, measurements, keep) -> bool:
+def explains(outcome: Outcome, chosen: Candidate, measurements: Measurements) -> bool:
     """Does the chosen model beat the best generic shape (its place or period counted)?
 
     For single moderate effects only: a shape is linear, which says little far from the null, and
     one that beats a strong cause leaves structure behind. Two mechanisms along one covariate are
     but a curve in it unless they are clearly better than every free one.
     """
-    runs = np.log(max(number_of_runs(measurements, keep), 2))
+    runs = np.log(max(measurements.runs, 2))
     covariates = Counter(MECHANISMS[cause].covariate for cause in chosen.causes)
     shared = {name for name, number in covariates.items() if name is not None and number > 1}
     for i, test in enumerate(outcome.tests):
@@ -214,7 +211,7 @@ def explains(outcome: Outcome, chosen: Candidate, measurements, keep) -> bool:
         bic = (outcome.degrees[i] + test.scanned) * runs - outcome.statistic[i]
         if test.covariate in shared and chosen.bic > bic - TIE_BIC:
             return False
-        allowed = 2.0 + FORM_SHARE * chosen.credit
+        allowed = SHAPE_ODDS + FORM_SHARE * chosen.credit
         if chosen.credit < MODERATE and chosen.bic > bic + allowed:
             return False
     return True
@@ -239,7 +236,7 @@ def left_along_own(chosen: Candidate, left: Outcome) -> str | None:
     """The covariate of a cause along which a shape is left; None where there is none.
 
     Looked at by itself: a law that bends where the data do not is not the law, however many other
-    covariates were tried.
+    covariates were tried; but its form may be a little off.
     """
     for cause in chosen.causes:
         own = [
@@ -249,7 +246,11 @@ def left_along_own(chosen: Candidate, left: Outcome) -> str | None:
             and test.covariate == MECHANISMS[cause].covariate
             and np.isfinite(left.log_p[i])
         ]
-        if own and len(own) * 10.0 ** -max(left.log_p[i] for i in own) < OWN_SIGNIFICANCE:
+        if not own:
+            continue
+        best = max(own, key=lambda i: left.log_p[i])
+        significant = len(own) * 10.0 ** -left.log_p[best] < OWN_SIGNIFICANCE
+        if significant and left.statistic[best] > FORM_SHARE * chosen.credit:
             return MECHANISMS[cause].covariate
     return None
 
@@ -340,9 +341,9 @@ def _testable(left: Outcome) -> set[str]:
 def _beside(judge: Judge, single: Candidate) -> tuple[list[Test], np.ndarray]:
     """Tests of all further mechanisms beside a single one, and their likelihood ratios."""
     m, fitted = judge.measurements, single.fitted
-    found = alternatives(m, fitted, judge.keep)
+    found = alternatives(m, fitted)
     tests = [test for test in found.tests if test.family == "mechanism"]
-    groups = make_groups(m, found.sensitivity, judge.keep & ~m.lower_bound)
+    groups = make_groups(m, found.sensitivity)
     residual = m.y - fitted.prediction
     ratios = Ratios(tests, fitted.jacobian, residual, groups, single.scatters, m.zero_columns)
     return tests, ratios.observed().max(axis=0)

@@ -1,31 +1,44 @@
-"""What a design could have seen: the smallest effect of every mechanism.
+"""What a design could have seen, and named: the smallest effects of every mechanism.
 
 An effect is seen where its likelihood ratio is beyond what the maxima simulated for this design and
-noise leave at the limit of the family-wise p, which a non-central chi-squared gives.
+noise leave at the limit of the family-wise p, which a non-central chi-squared gives. An effect is
+named where the part of it that no other mechanism can imitate tells it from the closest one.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from scipy.optimize import brentq
 from scipy.special import chdtri
-from scipy.stats import ncx2
+from scipy.stats import ncx2, norm
 
 from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.inference.alternatives import alternatives
+from slipstitch.criticise.inference.candidates import TIE_BIC
 from slipstitch.criticise.inference.fit import Fit, jacobian
-from slipstitch.criticise.inference.mixed_model import KAPPA_LIMITS, Scatter, make_groups
+from slipstitch.criticise.inference.mixed_model import (
+    KAPPA_LIMITS,
+    Clusters,
+    Group,
+    Scatter,
+    make_groups,
+)
 from slipstitch.criticise.inference.ratio import Ratios
-from slipstitch.criticise.inference.structure import ERROR_WEIGHTS, Outcome
+from slipstitch.criticise.inference.structure import ERROR_WEIGHTS, Outcome, Test
 from slipstitch.criticise.measurements import Measurements
 
 POWER = 0.8
 # Logarithm of the largest change of friction for which an effect counts as one that could be seen:
 # none is known to change it tenfold, and tests that are linear in the effect say nothing there.
 LARGEST_CHANGE = np.log(10.0)
+# Columns of laws that have a kink are secants: less than this is no difference between two.
+LEAST_SHARE = 0.1
+# Noncentrality beside the closest rival from where on an effect is named at that power.
+NAMED_FROM = (np.sqrt(TIE_BIC) + norm.ppf(POWER)) ** 2
 
 
 @dataclass(frozen=True)
@@ -34,16 +47,27 @@ class Detectable:
 
     ``size`` in ``unit`` of the mechanism's ``parameter``; infinite where nothing would show it.
     ``on_friction`` is the largest change of a feature's friction that it makes, as a logarithm.
+    From the size ``named`` on it is told from ``rival``, the mechanism that is most like it ('' if
+    none is); infinite where it would only be noticed.
     """
 
     parameter: str
     size: float
     unit: str
     on_friction: float
+    named: float = np.inf
+    rival: str = ""
 
 
-def smallest_detectable(outcome: Outcome, fitted: Fit, limit: float) -> dict[str, Detectable]:
-    """The smallest effect of every mechanism beside a fitted model, at a family-wise limit."""
+def smallest_detectable(
+    outcome: Outcome, fitted: Fit, limit: float, rivals: dict[str, tuple[float, str]]
+) -> dict[str, Detectable]:
+    """The smallest effect of every mechanism beside a fitted model, at a family-wise limit.
+
+    Parameters
+    ----------
+    rivals : by :func:`closest_rivals`.
+    """
     sensitivity = fitted.sensitivity()
     acting = sensitivity != 0
     found: dict[str, Detectable] = {}
@@ -57,7 +81,8 @@ def smallest_detectable(outcome: Outcome, fitted: Fit, limit: float) -> dict[str
         if test.mechanism is None:
             continue
         parameter = MECHANISMS[test.mechanism].tested_parameters()[0]
-        size, change = np.inf, np.inf
+        size, change, named = np.inf, np.inf, np.inf
+        own, rival = rivals.get(test.mechanism, (0.0, ""))
         if information > 1e-12:  # less is the rounding of a derivative that is zero
             threshold = float(chdtri(degrees, 10.0**-critical) * outcome.inflation[i])
             key = (degrees, round(threshold, 3))
@@ -68,9 +93,59 @@ def smallest_detectable(outcome: Outcome, fitted: Fit, limit: float) -> dict[str
             relative = np.abs(test.columns[acting]) / np.abs(sensitivity[acting])[:, None]
             change = float(steps * relative.max(initial=0.0))
             size = size if change < LARGEST_CHANGE else np.inf
+            further = np.sqrt(NAMED_FROM / max(own * noncentrality[key], 1e-12))
+            if change * max(further, 1.0) < LARGEST_CHANGE:
+                named = size * max(further, 1.0)
         known = found.get(test.mechanism)
         if known is None or size < known.size:
-            found[test.mechanism] = Detectable(parameter.name, size, parameter.unit, change)
+            found[test.mechanism] = Detectable(
+                parameter.name, size, parameter.unit, change, named, rival
+            )
+    return found
+
+
+def closest_rivals(
+    tests: list[Test],
+    base: np.ndarray,
+    zeros: np.ndarray,
+    groups: list[Group],
+    scatters: dict[str, Scatter],
+) -> dict[str, tuple[float, str]]:
+    """The share of every mechanism's information that its closest rival leaves, and that rival.
+
+    Parameters
+    ----------
+    base, zeros : (n, p) and (n, z) columns of the fitted model, the latter with unit prior sd.
+    """
+    mechanisms = [test for test in tests if test.mechanism is not None]
+    columns = np.column_stack([base, zeros, *(test.columns for test in mechanisms)])
+    gram = np.zeros((columns.shape[1], columns.shape[1]))
+    for group in groups:
+        gram += Clusters(group, columns[group.index]).gram(scatters[group.protocol])
+    fixed = base.shape[1] + zeros.shape[1]
+    size = np.sqrt(np.maximum(gram.diagonal(), 1e-300))
+    gram = gram / size / size[:, None]
+    ridge = np.where(np.arange(fixed) < base.shape[1], 1e-9, size[:fixed] ** -2)
+    carried = np.linalg.solve(gram[:fixed, :fixed] + np.diag(ridge), gram[:fixed])
+    left = (gram - gram[:fixed].T @ carried)[fixed:, fixed:]
+    ends = np.cumsum([0, *(test.columns.shape[1] for test in mechanisms)])
+    places = [np.arange(*pair) for pair in pairwise(ends)]
+    found: dict[str, tuple[float, str]] = {}
+    for test, own in zip(mechanisms, places, strict=True):
+        inner = left[np.ix_(own, own)]
+        share, rival = 1.0, ""
+        for other, rest in zip(mechanisms, places, strict=True):
+            if other.mechanism == test.mechanism or inner[0, 0] < 1e-9:
+                continue
+            cross = left[np.ix_(own, rest)]
+            both = np.linalg.pinv(left[np.ix_(rest, rest)], 1e-6, hermitian=True)
+            apart = np.linalg.pinv(inner, 1e-6, hermitian=True) @ (inner - cross @ both @ cross.T)
+            least = float(np.clip(np.linalg.eigvals(apart).real.min(), 0.0, 1.0))
+            if least < share:
+                share, rival = least, other.mechanism
+        share = share if share > LEAST_SHARE else 0.0
+        if share > found.get(test.mechanism, (-1.0, ""))[0]:
+            found[test.mechanism] = share, rival
     return found
 
 
@@ -119,16 +194,22 @@ def of_design(
     replicates: int,
 ) -> dict[str, Detectable]:
     """The same for a campaign that is still to be made, at its plain model."""
-    tests = alternatives(design, plain, np.ones(len(design.y), bool)).tests
-    groups = make_groups(design, plain.sensitivity(), ~design.lower_bound)
+    tests = alternatives(design, plain).tests
+    groups = make_groups(design, plain.sensitivity())
     nothing = np.zeros(len(design.y))
-    ratios = Ratios(tests, plain.jacobian, nothing, groups, scatters, design.zero_columns)
+    fixed, zeros = plain.jacobian, design.zero_columns
+    ratios = Ratios(tests, fixed, nothing, groups, scatters, zeros)
     outcome = ratios.outcome(np.random.default_rng(seed), replicates)
-    return smallest_detectable(outcome, plain, limit)
+    rivals = closest_rivals(tests, fixed, zeros, groups, scatters)
+    return smallest_detectable(outcome, plain, limit, rivals)
 
 
 def certificate(detectable: dict[str, Detectable], limit: float) -> dict:
-    """What this design could have seen; sizes are None where nothing would show the mechanism."""
+    """What this design could have seen and named; None where nothing would show the mechanism."""
+
+    def rounded(size: float) -> float | None:
+        return float(f"{size:.3g}") if np.isfinite(size) else None
+
     return {
         "false_alarm_limit": limit,
         "false_alarm_rate": None,
@@ -136,7 +217,9 @@ def certificate(detectable: dict[str, Detectable], limit: float) -> dict:
         "smallest_detectable": {
             name: {
                 "parameter": found.parameter,
-                "size": float(f"{found.size:.3g}") if np.isfinite(found.size) else None,
+                "size": rounded(found.size),
+                "named_from": rounded(found.named),
+                "most_alike": found.rival or None,
                 "unit": found.unit,
             }
             for name, found in sorted(detectable.items())

@@ -5,7 +5,7 @@ The covariate is found by likelihood, its p by simulation over all covariates th
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -13,9 +13,8 @@ from scipy.stats import t as student
 
 from slipstitch.criticise.covariates import COVARIATES
 from slipstitch.criticise.inference.fit import Fit
-from slipstitch.criticise.inference.mixed_model import Scatter
 from slipstitch.criticise.inference.ratio import Ratios
-from slipstitch.criticise.inference.short_formula import Formula, rounded, short_formula
+from slipstitch.criticise.inference.short_formula import rounded, short_formula
 from slipstitch.criticise.inference.smooth_factor import (
     SPEED,
     Problem,
@@ -32,76 +31,8 @@ SIGNIFICANCE = 0.04
 REACH = 1.96  # of a 95 % band, in standard deviations
 
 
-@dataclass(frozen=True)
-class Discrepancy:
-    """A smooth factor on the coefficient, its mean logarithm over the features 0.
-
-    Attributes
-    ----------
-    tried : covariate -> family-wise p of any smooth curve along it.
-    covariate : of the factor; None where no covariate takes anything away (then nothing follows).
-    knots, factors, low, high : of the curve with its 95 % band; linear between knots in the
-        logarithm of the factor and, for speed and load, of the covariate.
-    coefficients : friction coefficients where the factor is 1.
-    scatters : beside the factor, outliers included: for prediction.
-    rmse_null, rmse : errors of features of left-out specimens, relative to friction.
-    share : of the squared error that the factor takes away there.
-    not_converged : covariates along which a factor's fit did not: it is not used.
-    shapes_not_converged : short formulas whose fit did not: whether they fit as well is not known.
-    """
-
-    tried: dict[str, float]
-    covariate: str | None = None
-    knots: tuple[float, ...] = ()
-    factors: tuple[float, ...] = ()
-    low: tuple[float, ...] = ()
-    high: tuple[float, ...] = ()
-    coefficients: dict[str, float] = field(default_factory=dict)
-    scatters: dict[str, Scatter] = field(default_factory=dict)
-    rmse_null: float = 0.0
-    rmse: float = 0.0
-    share: float = 0.0
-    formula: Formula | None = None
-    not_converged: tuple[str, ...] = ()
-    shapes_not_converged: tuple[str, ...] = ()
-
-    def as_dict(self) -> dict:
-        """The layout of docs/criticise-your-data.md."""
-        tried = {name: round(p, 5) for name, p in self.tried.items()}
-        failed = {"not_converged": list(self.not_converged)} if self.not_converged else {}
-        if self.covariate is None:
-            return {"covariate": None, "tried": tried, **failed}
-        result = failed | {
-            "covariate": self.covariate,
-            "unit": COVARIATES[self.covariate].unit,
-            "p_adjusted": tried[self.covariate],
-            "tried": tried,
-            "knots": list(self.knots),
-            "factors": list(self.factors),
-            "ci95": [list(band) for band in zip(self.low, self.high, strict=True)],
-            "coefficients": self.coefficients,
-            "scatter": {p: [s.specimen, s.run, s.kappa] for p, s in self.scatters.items()},
-            "rmse_null": round(self.rmse_null, 5),
-            "rmse_extended": round(self.rmse, 5),
-            "misfit_share": round(self.share, 4),
-            "formula": None,
-        }
-        if self.shapes_not_converged:
-            result["shapes_not_converged"] = list(self.shapes_not_converged)
-        if self.formula is not None:
-            result["formula"] = {
-                "text": self.formula.text,
-                "shape": self.formula.shape,
-                "parameter": self.formula.parameter,
-                "ci95": list(self.formula.interval),
-                "coefficients": self.formula.coefficients,
-                "delta_bic": round(self.formula.delta_bic, 2),
-            }
-        return result
-
-
 def along(found: dict, places, factors=None) -> np.ndarray:
-    """The factor at plain values of its covariate, by the knots of :meth:`Discrepancy.as_dict`."""
+    """The factor at plain values of its covariate, by its knots."""
     covariate = COVARIATES[found["covariate"]]
     knots = covariate.searched(np.array(found["knots"]))
     logs = np.log(found["factors"] if factors is None else factors)
@@ -115,7 +46,7 @@ def specimen_factors(
 
     Many places are drawn together into as many as there are knots at most.
     """
-    m, problem = measurements, Problem(measurements, state.keep, null, state.scatters)
+    m, problem = measurements, Problem(state.measurements, null, state.scatters)
     track = track_along(problem, found["covariate"])
     if track is None:
         return pd.DataFrame({"protocol": [], "at": [], "factor": []})
@@ -159,7 +90,7 @@ def predicted_with(
 
 
 def discrepancy_words(found: dict | None) -> str:
-    """What :meth:`Discrepancy.as_dict` says, in a sentence."""
+    """What :func:`embedded_discrepancy` found, in a sentence."""
     if not found or not found["tried"]:
         return ""
     failed = found.get("not_converged", [])
@@ -188,66 +119,84 @@ def _listed(names: list[str]) -> str:
 
 
 def embedded_discrepancy(
-    measurements: Measurements, null: Fit, state: State, seed: int = 1, replicates: int = 500
-) -> Discrepancy:
+    whole: Measurements, null: Fit, state: State, seed: int = 1, replicates: int = 500
+) -> dict:
     """The smooth factor that the data ask for beside the null, if any.
 
     Parameters
     ----------
-    null, state : fit of the null, and its scatter and kept features.
+    whole : the measurements as they were made; ``state`` has those that allow for outliers.
+    null, state : fit of the null, and its scatter.
     seed, replicates : of the simulated maxima.
+
+    Returns
+    -------
+    dict
+        ``tried`` (covariate -> family-wise p of any smooth curve along it), the ``covariate`` of
+        the factor (None where none takes anything away: then nothing follows), ``not_converged``
+        (covariates whose fit did not), and the factor in the layout of
+        docs/criticise-your-data.md. Its mean logarithm over the features is 0; between ``knots``
+        it is linear in its logarithm and, for speed and load, in that of the covariate.
     """
-    problem = Problem(measurements, state.keep, null, state.scatters)
+    measurements = state.measurements
+    problem = Problem(measurements, null, state.scatters)
     tracks = [track for name in ALONG if (track := track_along(problem, name)) is not None]
     tried = _tried(problem, tracks, state, np.random.default_rng(seed), replicates)
-    if not tracks:
-        return Discrepancy(tried)
-    plain = problem.fit(None)
+    plain = problem.fit(None) if tracks else None
     fitted = [(track, problem.fit(track.smooth())) for track in tracks]
-    failed = tuple(t.covariate.name for t, c in fitted if not (c.converged and plain.converged))
-    nothing = Discrepancy(tried, not_converged=failed)
+    failed = [t.covariate.name for t, c in fitted if not (c.converged and plain.converged)]
+
+    def nothing() -> dict:
+        found = {"covariate": None, "tried": {name: round(p, 5) for name, p in tried.items()}}
+        return found | ({"not_converged": failed} if failed else {})
+
     usable = [(track, curve) for track, curve in fitted if track.covariate.name not in failed]
     if not usable:
-        return nothing
+        return nothing()
     track, curve = max(usable, key=lambda pair: pair[1].log_likelihood)
+    name = track.covariate.name
     errors = [left_out_error(measurements, model, track.recorded) for model in (plain, curve)]
     share = 1.0 - (errors[1] / errors[0]) ** 2
-    if tried[track.covariate.name] > SIGNIFICANCE or not share > 0:
-        return nothing
-    everything = replace(problem, keep=np.ones_like(state.keep), scatters=curve.scatters)
-    whole = everything.fit((track_along(everything, track.covariate.name) or track).smooth())
-    if not whole.converged:
-        return Discrepancy(tried, not_converged=(*failed, track.covariate.name))
+    if tried[name] > SIGNIFICANCE or not share > 0:
+        return nothing()
+    everything = replace(problem, measurements=whole, scatters=curve.scatters)
+    beside = everything.fit((track_along(everything, name) or track).smooth())
+    if not beside.converged:
+        failed.append(name)
+        return nothing()
     # The factor's mean logarithm over the features goes into the coefficients.
     weights = track.hats[track.recorded].mean(axis=0)
     mean = weights @ curve.values
     centred = np.eye(len(weights)) - weights
     own = np.flatnonzero(curve.curve)
     covariance = centred @ curve.covariance[np.ix_(own, own)] @ centred.T
-    half = _reach(measurements, state) * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    reach = _reach(measurements)
+    half = reach * np.sqrt(np.maximum(np.diag(covariance), 0.0))
     log_factors = curve.values - mean
+    low, high = rounded(np.exp(log_factors - half)), rounded(np.exp(log_factors + half))
     names = [p.name for p in measurements.null_parameters]
-    formula, unknown = short_formula(problem, track, curve, names, _reach(measurements, state))
-    return Discrepancy(
-        tried,
-        track.covariate.name,
-        knots=rounded(track.plain_knots),
-        factors=rounded(np.exp(log_factors)),
-        low=rounded(np.exp(log_factors - half)),
-        high=rounded(np.exp(log_factors + half)),
-        coefficients=dict(zip(names, rounded(np.exp(curve.level + mean)), strict=True)),
-        scatters=whole.scatters,
-        rmse_null=float(errors[0]),
-        rmse=float(errors[1]),
-        share=float(share),
-        formula=formula,
-        not_converged=failed,
-        shapes_not_converged=unknown,
-    )
+    formula, unknown = short_formula(problem, track, curve, names, reach)
+    return nothing() | {
+        "covariate": name,
+        "unit": track.covariate.unit,
+        "p_adjusted": round(tried[name], 5),
+        "knots": rounded(track.plain_knots),
+        "factors": rounded(np.exp(log_factors)),
+        "ci95": [list(band) for band in zip(low, high, strict=True)],
+        "coefficients": dict(zip(names, rounded(np.exp(curve.level + mean)), strict=True)),
+        # Beside the factor, outliers included: for prediction.
+        "scatter": {p: [s.specimen, s.run, s.kappa] for p, s in beside.scatters.items()},
+        # Of features of left-out specimens, relative to friction.
+        "rmse_null": round(errors[0], 5),
+        "rmse_extended": round(errors[1], 5),
+        "misfit_share": round(share, 4),
+        "formula": formula,
+        **({"shapes_not_converged": unknown} if unknown else {}),
+    }
 
 
-def _reach(measurements: Measurements, state: State) -> float:
-    specimens = len(np.unique(measurements.specimen[state.keep]))
+def _reach(measurements: Measurements) -> float:
+    specimens = len(np.unique(measurements.specimen))
     return float(student.ppf(0.975, max(specimens - 2, 3)))
 
 

@@ -14,22 +14,27 @@ from slipstitch.criticise.inference.candidates import (
     Judge,
     fitted_pairs,
     linear_ranking,
-    number_of_runs,
     promising,
     second_is_significant,
     tied_with,
     with_law_error,
 )
-from slipstitch.criticise.inference.certificate import Detectable, smallest_detectable
+from slipstitch.criticise.inference.certificate import (
+    Detectable,
+    closest_rivals,
+    smallest_detectable,
+)
 from slipstitch.criticise.inference.fit import Fit, Weights, fit
+from slipstitch.criticise.inference.heavy_tails import robust_fit
 from slipstitch.criticise.inference.intervals import Intervals
-from slipstitch.criticise.inference.outliers import Excluded, fit_without_outliers
 from slipstitch.criticise.inference.rivals import taken_by_rivals
 from slipstitch.criticise.inference.state import State
 from slipstitch.criticise.inference.structure import Outcome
-from slipstitch.criticise.measurements import Measurements
+from slipstitch.criticise.measurements import Measurements, Outlier
 
 SIGNIFICANCE = 0.04
+# Explanations beside which outliers are looked for.
+MOST_BESIDE = 3
 
 
 @dataclass(frozen=True)
@@ -49,7 +54,6 @@ class Best:
     judge: Judge
     ranking: list[Candidate]
     rivals: list[Candidate]
-    excluded: list[Excluded]
 
 
 @dataclass(frozen=True)
@@ -65,8 +69,8 @@ class Evidence:
         return np.random.default_rng(self.seed)
 
     @cached_property
-    def _null(self) -> tuple[Fit, State, list[Excluded]]:
-        return fit_without_outliers(self.measurements, (), None)
+    def _null(self) -> tuple[Fit, State]:
+        return robust_fit(self.measurements)
 
     @property
     def null(self) -> Fit:
@@ -91,8 +95,11 @@ class Evidence:
 
     @cached_property
     def detectable(self) -> dict[str, Detectable]:
-        """The smallest effect of every mechanism that would have been seen."""
-        return smallest_detectable(self.null_outcome, self.null, SIGNIFICANCE)
+        """The smallest effect of every mechanism that would have been seen, and named."""
+        state = self.null_state
+        columns = self.null.jacobian, state.measurements.zero_columns
+        rivals = closest_rivals(state.tests, *columns, state.groups, state.scatters)
+        return smallest_detectable(self.null_outcome, self.null, SIGNIFICANCE, rivals)
 
     @cached_property
     def screened(self) -> list[Candidate]:
@@ -101,18 +108,19 @@ class Evidence:
 
     @property
     def runs(self) -> int:
-        """Runs that are kept."""
-        return number_of_runs(self.measurements, self.null_state.keep)
+        """Number of runs."""
+        return self.measurements.runs
 
     @property
     def specimens(self) -> int:
-        """Specimens that are kept."""
-        return len(np.unique(self.measurements.specimen[self.null_state.keep]))
+        """Number of specimens."""
+        return len(np.unique(self.measurements.specimen))
 
     @property
-    def excluded(self) -> list[Excluded]:
+    def excluded(self) -> tuple[Outlier, ...]:
         """Outliers beside the null, or beside the best explanation if that was looked for."""
-        return self.best.excluded if "best" in self.__dict__ else self._null[2]
+        state = self.best.state if "best" in self.__dict__ else self.null_state
+        return state.measurements.outliers
 
     @property
     def ranking(self) -> list[Candidate]:
@@ -122,8 +130,8 @@ class Evidence:
     @cached_property
     def best(self) -> Best:
         """Fit what is promising, one and two at a time, and test what the best of all leaves."""
-        judge, singles, excluded = self._singles()
-        m, rng = self.measurements, self._rng
+        judge, singles, m = self._singles()
+        rng = self._rng
         chosen, state, left = judge.tested(singles[0], m, rng, self.replicates)
         pairs = fitted_pairs(judge, singles, left)
         accepted = [p for p in pairs if second_is_significant(p, singles, left)]
@@ -135,36 +143,39 @@ class Evidence:
         ranking = [chosen if c.causes == chosen.causes else c for c in ranking]
         rivals = [chosen if c.causes == chosen.causes else c for c in singles]
         rivals += accepted if len(chosen.causes) == 2 else []
-        return Best(chosen, state, left, judge, ranking, rivals, excluded)
+        return Best(chosen, state, left, judge, ranking, rivals)
 
-    def _singles(self) -> tuple[Judge, list[Candidate], list[Excluded]]:
-        """Single mechanisms fitted in full, by BIC, beside outliers and the laws' own error."""
-        m, null, state = self.measurements, self.null, self.null_state
-        keep, excluded = state.keep, self._null[2]
+    def _singles(self) -> tuple[Judge, list[Candidate], Measurements]:
+        """Single mechanisms fitted in full, by BIC, beside outliers and the laws' own error.
+
+        And the measurements, outliers allowed for, without the laws' own error.
+        """
+        null, state = self.null, self.null_state
+        m = state.measurements
         inflation = self.null_outcome.mechanism_inflation()
-        judge = Judge(m, keep, null, state.scatters, state.sensitivity, inflation)
+        judge = Judge(m, null, state.scatters, state.sensitivity, inflation)
         ranking = judge.ranked(promising(self.screened))
         # Outliers are judged again beside the best model: what the null could not explain, it may.
-        if ranking[0].bic < -2:
-            causes, start = ranking[0].causes, ranking[0].fitted
-            _, again, found = fit_without_outliers(m, causes, None, start)
-            if not np.array_equal(again.keep, keep):
-                keep, excluded = again.keep, found
-                weights = Weights(m, state.sensitivity, keep, state.scatters)
+        beside: set[tuple[str, ...]] = set()
+        while ranking[0].bic < -2 and ranking[0].causes not in beside and len(beside) < MOST_BESIDE:
+            best = ranking[0]
+            beside.add(best.causes)
+            found = robust_fit(self.measurements, best.causes, best.fitted)[1].measurements
+            if not np.array_equal(found.usual, m.usual):
+                m = found
+                weights = Weights(m, state.sensitivity, state.scatters)
                 base = fit(m, weights, (), null.as_dict())
-                judge = Judge(m, keep, base, state.scatters, base.sensitivity(), inflation)
+                judge = Judge(m, base, state.scatters, base.sensitivity(), inflation)
                 ranking = judge.ranked(ranking, fitted=True)
         imprecise = with_law_error(m, ranking[0].fitted)
         if imprecise is not m:
             judge = replace(judge, measurements=imprecise, bases={})
             ranking = judge.ranked(ranking, fitted=True)
-        return judge, ranking, excluded
+        return judge, ranking, m
 
     def intervals(self, fitted: Fit) -> Intervals:
         """The parameters of a fit."""
-        state = self.best.state if "best" in self.__dict__ else self.null_state
-        specimens = len(np.unique(self.measurements.specimen[state.keep]))
-        return Intervals(fitted, specimens, self.null_outcome.mechanism_inflation())
+        return Intervals(fitted, self.specimens, self.null_outcome.mechanism_inflation())
 
     def _unsure(self, candidate: Candidate) -> list[str]:
         """Causes of a candidate that may have no size at all."""

@@ -15,6 +15,8 @@ from slipstitch.physics.friction_law import Parameter
 
 # Most fits take 1 to 3 iterations, one in a hundred more than 14, along a narrow valley up to 50.
 ITERATIONS_MAX = 200
+# Starts of kinked parameters, in units of their scale.
+KINK_STEPS = (0.0, 0.25, -0.25, 0.5, -0.5, 1.0, -1.0, 2.0, -2.0)
 
 
 def parameters_of(measurements: Measurements, causes: tuple[str, ...]) -> list[Parameter]:
@@ -24,7 +26,7 @@ def parameters_of(measurements: Measurements, causes: tuple[str, ...]) -> list[P
 
 
 class Weights:
-    """The inverse covariance P of the kept features; bounds with their total sd.
+    """The inverse covariance P of the features; bounds with their total sd.
 
     What sensors' zeros (unit prior sd) and ``nuisance`` columns (n, q), which are fitted freely and
     silently, can carry counts for nothing.
@@ -34,12 +36,11 @@ class Weights:
         self,
         measurements: Measurements,
         sensitivity: np.ndarray,
-        keep: np.ndarray,
         scatters: dict[str, Scatter],
         nuisance: np.ndarray | None = None,
     ):
         m = self._measurements = measurements
-        self.groups = make_groups(m, sensitivity, keep & ~m.lower_bound)
+        self.groups = make_groups(m, sensitivity)
         self._scatters = scatters
         self._index = np.concatenate([[], *(g.index for g in self.groups)]).astype(int)
         self._clusters = [Clusters(g, np.zeros((len(g.u), 0))) for g in self.groups]
@@ -52,7 +53,7 @@ class Weights:
             free = nuisance[self._index]
             pulled = self._solved(free)
             self._carried.append((pulled, np.linalg.pinv(free.T @ pulled, hermitian=True)))
-        self._bounds = np.flatnonzero(m.lower_bound & keep)
+        self._bounds = np.flatnonzero(m.lower_bound)
         sd = np.empty(len(self._bounds))
         for i, b in enumerate(self._bounds):
             s = scatters.get(m.protocol[b], START_SCATTER)
@@ -217,14 +218,18 @@ def fit(
 
 
 def _better_side(values, parameters, start, evaluate):
-    """The best of the start and of one scale to either side of it, for kinked parameters."""
+    """The best of the start and of steps to either side of it, for kinked parameters.
+
+    What is smaller than the noise of a trace shows nowhere: the fit has no slope at the start.
+    """
     for j, parameter in enumerate(parameters):
         if not parameter.kinked or start.get(parameter.name, parameter.null) != parameter.null:
             continue
         trials = []
-        for shift in (0.0, parameter.scale, -parameter.scale):
+        for shift in KINK_STEPS:
             moved = values.copy()
-            moved[j] = np.clip(moved[j] + shift, parameter.lower, parameter.upper)
+            step = shift * parameter.scale
+            moved[j] = np.clip(moved[j] + step, parameter.lower, parameter.upper)
             trials.append((evaluate(moved)[1], shift, moved))
         values = min(trials, key=lambda trial: trial[0])[2]
     return values

@@ -40,7 +40,7 @@ def plain_scatters(analysis: Analysis, fitted: Fit) -> dict[str, Scatter]:
     """
     m, state = analysis.measurements, analysis.state
     residual = m.y - fitted.prediction
-    everything = make_groups(m, state.sensitivity, ~m.lower_bound)
+    everything = make_groups(m, state.sensitivity)
     result = {}
     for group in everything:
         result[group.protocol], _ = estimate_scatter(
@@ -81,7 +81,7 @@ def held_out_gain(analysis: Analysis, candidates: list[Candidate]) -> Gain:
     """
     m, state = analysis.measurements, analysis.state
     parts, rows_of = _parts(analysis, state)
-    runs = np.log(max(len(np.unique(m.run[state.keep])), 2))
+    runs = np.log(max(m.runs, 2))
     # The null that is predicted with is the one reported, under its own scatter; the one that
     # competes for selection is the null under the scatter of the others.
     null = _linear(analysis, analysis.null, _parts(analysis, analysis.null_state, parts)[0], 0)
@@ -149,7 +149,7 @@ def _parts(analysis: Analysis, state: State, like: list | None = None):
             mine = np.flatnonzero(specimens == specimen)
             variance = group.part(mine).variance(state.scatters[group.protocol])
             parts.append((group.index[mine], np.linalg.inv(variance)))
-            # Outliers teach nothing but count in the score: a fresh campaign has them too.
+            # Outliers teach little but count in the score: a fresh campaign has them too.
             rows_of.append(np.flatnonzero((m.specimen == specimen) & ~m.lower_bound))
     if like is not None:
         found = {m.specimen[part[0][0]]: part for part in parts}

@@ -56,7 +56,8 @@ class Group:
     """The features of one protocol, as the covariance sees them.
 
     ``index`` places them among all features; ``sensitivity`` is d(feature)/d(ln mu); ``specimen``
-    and ``run`` are numbers.
+    and ``run`` are numbers; ``astray`` is the variance of ln mu that the run has beyond the
+    scatter of the others.
     """
 
     protocol: str
@@ -65,18 +66,23 @@ class Group:
     sensitivity: np.ndarray
     specimen: np.ndarray
     run: np.ndarray
+    astray: np.ndarray
+
+    def _of_runs(self, scatter: Scatter) -> np.ndarray:
+        """(n,) variance of each run's ln mu."""
+        return scatter.run**2 + self.astray
 
     def variance(self, scatter: Scatter) -> np.ndarray:
         """V, (n, n)."""
         shared = scatter.specimen**2 * (self.specimen[:, None] == self.specimen[None, :])
-        shared = shared + scatter.run**2 * (self.run[:, None] == self.run[None, :])
+        shared = shared + self._of_runs(scatter) * (self.run[:, None] == self.run[None, :])
         v = np.outer(self.sensitivity, self.sensitivity) * shared
         v[np.diag_indices_from(v)] += (scatter.kappa * self.u) ** 2
         return v
 
     def part(self, kept: np.ndarray) -> Group:
         """The features at some places of this group."""
-        arrays = ("index", "u", "sensitivity", "specimen", "run")
+        arrays = ("index", "u", "sensitivity", "specimen", "run", "astray")
         return replace(self, **{name: getattr(self, name)[kept] for name in arrays})
 
     def level(self) -> np.ndarray:
@@ -91,20 +97,20 @@ class Group:
         _, specimen = np.unique(self.specimen, return_inverse=True)
         shared = (
             scatter.specimen * rng.standard_normal((specimen.max() + 1, count))[specimen]
-            + scatter.run * rng.standard_normal((run.max() + 1, count))[run]
+            + np.sqrt(self._of_runs(scatter))[:, None]
+            * rng.standard_normal((run.max() + 1, count))[run]
         )
         return noise + self.sensitivity[:, None] * shared
 
 
-def make_groups(
-    measurements: Measurements, sensitivity: np.ndarray, keep: np.ndarray
-) -> list[Group]:
-    """Groups of the kept features, a group a protocol."""
+def make_groups(measurements: Measurements, sensitivity: np.ndarray) -> list[Group]:
+    """Groups of the features that are no bounds, a group a protocol."""
     m, groups = measurements, []
     for name in dict.fromkeys(m.protocol.tolist()):
-        i = np.flatnonzero((m.protocol == name) & keep)
+        i = np.flatnonzero((m.protocol == name) & ~m.lower_bound)
         if len(i):
-            groups.append(Group(name, i, m.u[i], sensitivity[i], m.specimen[i], m.run[i]))
+            arrays = (m.u, sensitivity, m.specimen, m.run, m.astray)
+            groups.append(Group(name, i, *(array[i] for array in arrays)))
     return groups
 
 
@@ -132,6 +138,7 @@ class Clusters:
         of_run = group.specimen[first][by_specimen]
         new = np.r_[True, of_run[1:] != of_run[:-1]]
         self._specimens, self._specimen = np.flatnonzero(new), np.cumsum(new) - 1
+        self._astray = group.astray[first][by_specimen]
         inverse = 1.0 / group.u**2
         self._inverse, self._pull = inverse[:, None], (group.sensitivity * inverse)[:, None]
         self.columns = columns
@@ -147,27 +154,28 @@ class Clusters:
     def _over_specimens(self, values: np.ndarray) -> np.ndarray:
         return np.add.reduceat(values, self._specimens, axis=0)
 
-    def _weights(self, scatter: Scatter) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """f_j of runs, z_s of specimens, and the sum that lengthens each specimen."""
+    def _weights(self, scatter: Scatter) -> tuple[np.ndarray, ...]:
+        """f_j and w_j of runs, z_s of specimens, and the sum that lengthens each specimen."""
         information = self._information / scatter.kappa**2
-        free = 1.0 / (1.0 + scatter.run**2 * information)
+        own = scatter.run**2 + self._astray
+        free = 1.0 / (1.0 + own * information)
         told = scatter.specimen**2 * self._over_specimens(information * free)
-        return free, scatter.specimen**2 / (1.0 + told), told
+        return free, own * free, scatter.specimen**2 / (1.0 + told), told
 
     def log_determinant(self, scatter: Scatter) -> float:
         """log |V|."""
-        free, _, told = self._weights(scatter)
+        free, _, _, told = self._weights(scatter)
         noise = self._log_u + 2 * len(self._run) * np.log(scatter.kappa)
         return float(noise - np.log(free).sum() + np.log1p(told).sum())
 
     def gram(self, scatter: Scatter) -> np.ndarray:
         """X' V^-1 X, (m, m)."""
-        free, shared, _ = self._weights(scatter)
+        free, taken, shared, _ = self._weights(scatter)
         runs = self._of_runs / scatter.kappa**2
         specimens = self._over_specimens(free[:, None] * runs)
         return (
             self._gram_of_noise / scatter.kappa**2
-            - runs.T @ ((scatter.run**2 * free)[:, None] * runs)
+            - runs.T @ (taken[:, None] * runs)
             - specimens.T @ (shared[:, None] * specimens)
         )
 
@@ -182,25 +190,25 @@ class Clusters:
     def products(self, scatter: Scatter, of) -> tuple[np.ndarray, np.ndarray]:
         """X' V^-1 Y, (m, b), and the diagonal of Y' V^-1 Y, (b,)."""
         with_columns, of_runs, squares = of
-        free, shared, _ = self._weights(scatter)
+        free, taken, shared, _ = self._weights(scatter)
         noise = 1.0 / scatter.kappa**2
         runs, own = self._of_runs * noise, of_runs * noise
-        pulled = (scatter.run**2 * free)[:, None] * own
+        pulled = taken[:, None] * own
         specimens = self._over_specimens(free[:, None] * runs)
         own_specimens = self._over_specimens(free[:, None] * own)
         carried = shared[:, None] * own_specimens
         score = with_columns * noise - runs.T @ pulled - specimens.T @ carried
-        taken = (own * pulled).sum(axis=0) + (own_specimens * carried).sum(axis=0)
-        return score, squares * noise - taken
+        explained = (own * pulled).sum(axis=0) + (own_specimens * carried).sum(axis=0)
+        return score, squares * noise - explained
 
     def solved(self, scatter: Scatter, values: np.ndarray) -> np.ndarray:
         """V^-1 Y of values (n, k)."""
-        free, shared, _ = self._weights(scatter)
+        free, taken, shared, _ = self._weights(scatter)
         noise = 1.0 / scatter.kappa**2
         runs = self._over_runs(values * self._pull) * noise
         specimens = shared[:, None] * self._over_specimens(free[:, None] * runs)
-        taken = free[:, None] * (scatter.run**2 * runs + specimens[self._specimen])
-        return noise * (values * self._inverse - self._pull * taken[self._run])
+        shift = taken[:, None] * runs + free[:, None] * specimens[self._specimen]
+        return noise * (values * self._inverse - self._pull * shift[self._run])
 
 
 def log_likelihood(clusters: Clusters, scatter: Scatter, fixed: int, restricted: bool) -> float:

@@ -20,8 +20,8 @@ from slipstitch.criticise.inference.structure import Outcome, outcome_of
 # A column that other columns make up to this is not identified.
 IDENTIFIED = 1e-4
 SMALLEST_CENTRE = 0.01
-SIGMA_STEPS = (0.15, 0.4, 0.7, 1.0, 1.4)
-KAPPA_STEPS = (0.55, 0.75, 0.9, 1.0, 1.15)
+SIGMA_STEPS = (0.15, 0.4, 0.7, 1.0)
+KAPPA_STEPS = (0.7, 0.85, 1.0)
 KAPPA_STEPS_ALONE = (0.8, 1.0)
 # A row of simulated data sets; more follow while the p may lie on either side of a limit.
 ROUND = 100
@@ -63,17 +63,6 @@ class _Side:
         self.constants = [s.log_prior() - 0.5 * self.clusters.log_determinant(s) for s in self.grid]
         self.inverse, self.carried, self.vectors = beside(self.rows, self.blocks, ridge, own)
 
-    def joined(self, base: int, own=None, block=None) -> np.ndarray:
-        """X' V^-1 X of the base, and of a test's own columns, at every scatter."""
-        if own is None:
-            return self.rows[:, :, :base]
-        index = np.r_[np.arange(base), own]
-        whole = np.empty((len(self.grid), len(index), len(index)))
-        whole[:, :base] = self.rows[:, :, index]
-        whole[:, base:, :base] = self.rows[:, :, own].transpose(0, 2, 1)
-        whole[:, base:, base:] = block
-        return whole
-
     def search(self, response: np.ndarray, one_sided: np.ndarray, own) -> None:
         """Ratios of data sets (features, b), and the best scatter of the base and of each test."""
         of, count, base = self.clusters.responses(response), response.shape[1], self.rows.shape[1]
@@ -91,15 +80,11 @@ class _Side:
             better = null > best_null
             best_null[better], self.null_choice[better] = null[better], g
             left = score - self.carried[g].T @ pulled
-            start = 0
-            for index, vectors in zip(own, self.vectors, strict=True):
-                tests = slice(start, start := start + len(index))
-                along = vectors[g].transpose(0, 2, 1) @ left[index]
-                along[one_sided[tests]] = np.maximum(along[one_sided[tests]], 0.0)
-                value = null + 0.5 * (along**2).sum(axis=1)
-                better = value > best[tests]
-                best[tests] = np.where(better, value, best[tests])
-                self.choice[tests] = np.where(better, g, self.choice[tests])
+            found = [v[g] for v in self.vectors]
+            value = null + 0.5 * explained_by(found, left, own, one_sided)
+            better = value > best
+            best = np.where(better, value, best)
+            self.choice = np.where(better, g, self.choice)
         self.ratios = 2 * (best - best_null)
 
 
@@ -164,53 +149,30 @@ class _Bank:
         return np.maximum(ratios, 0.0)
 
     def _together(self) -> np.ndarray:
-        """All protocols: one effect, one base, each protocol at its own scatter."""
-        sides, base = self.sides, len(self.ridge)
-        every = np.arange(sides[0].bare.shape[1])
-        start = self._null_scatters()
+        """All protocols: one effect, one base, each protocol at a scatter of its own.
 
-        def value(choices, own=None, blocks=None, added=False):
-            index = np.arange(base) if own is None else np.r_[np.arange(base), own]
-            gram, score, bare = 0.0, 0.0, 0.0
-            for p, (choice, side) in enumerate(zip(choices, sides, strict=True)):
-                whole = side.joined(base, own, None if own is None else blocks[p])
-                gram = gram + whole[choice]
-                score = score + side.scores[choice[:, None], index[None, :], every[:, None]]
-                bare = bare + side.bare[choice, every]
-            ridge = np.r_[self.ridge, np.zeros(len(index) - base)]
-            return bare + 0.5 * _solved(gram, score, ridge, added)
+        That is the one of its base, or the one that suits the strongest test best.
+        """
+        every = np.arange(self.sides[0].bare.shape[1])
+        strongest = np.argmax(sum(side.ratios for side in self.sides), axis=0)
+        usual = [side.null_choice for side in self.sides]
+        under = [side.choice[strongest, every] for side in self.sides]
+        (one, ones), (other, others) = self._joint(usual), self._joint(under)
+        return 2 * (np.maximum(ones, others) - np.maximum(one, other))
 
-        null = value(start)
-        result = np.zeros(sides[0].ratios.shape)
-        places = [(j, t) for j, index in enumerate(self.own) for t in range(len(index))]
-        for i, (j, t) in enumerate(places):
-            if not self.degrees[-1, i]:
-                continue
-            own, added = self.own[j][t], self.one_sided[i]
-            blocks = [side.blocks[j][:, t] for side in sides]
-            under = [side.choice[i] for side in sides]
-            best = np.maximum(value(under, own, blocks, added), value(start, own, blocks, added))
-            result[i] = 2 * (best - null)
-        return result
-
-    def _null_scatters(self) -> list[np.ndarray]:
-        """Each protocol's scatter under the common base, one after the other."""
-        choices, base = [side.null_choice.copy() for side in self.sides], len(self.ridge)
-        every = np.arange(len(choices[0]))
-        grams = [side.joined(base) for side in self.sides]
-        for p, own in enumerate(self.sides):
-            gram, score = 0.0, 0.0
-            for q, other in enumerate(self.sides):
-                if q != p:
-                    gram = gram + grams[q][choices[q]]
-                    score = score + other.scores[choices[q], :base, every]
-            best = np.full(len(every), -np.inf)
-            for g in range(len(grams[p])):
-                pulled = own.scores[g][:base].T + score
-                value = own.bare[g] + 0.5 * _solved(grams[p][g] + gram, pulled, self.ridge)
-                better = value > best
-                best[better], choices[p] = value[better], np.where(better, g, choices[p])
-        return choices
+    def _joint(self, choices: list[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        """Log-likelihood of the base (b,) and with each test (tests, b) at scatters of each."""
+        pairs = list(zip(choices, self.sides, strict=True))
+        every, base = np.arange(len(choices[0])), len(self.ridge)
+        rows = sum(side.rows[choice] for choice, side in pairs)
+        blocks = [sum(s.blocks[j][choice] for choice, s in pairs) for j in range(len(self.own))]
+        score = sum(side.scores[choice, :, every] for choice, side in pairs)
+        bare = sum(side.bare[choice, every] for choice, side in pairs)
+        inverse, carried, vectors = beside(rows, blocks, self.ridge, self.own)
+        pulled = score[:, :base]
+        null = bare + 0.5 * np.einsum("bk,bkl,bl->b", pulled, inverse, pulled)
+        left = (score - np.einsum("bkm,bk->bm", carried, pulled)).T
+        return null, null + 0.5 * explained_by(vectors, left, self.own, self.one_sided)
 
 
 class Ratios:
@@ -333,6 +295,27 @@ def beside(rows, blocks, ridge, own):
     return inverse, carried, vectors
 
 
+def explained_by(vectors, left, own, one_sided) -> np.ndarray:
+    """Twice what each test explains (tests, b) of what its base leaves (m, b).
+
+    Parameters
+    ----------
+    vectors : of unit information, an array (t, k, k) or (b, t, k, k) for each width k.
+    """
+    found = []
+    for index, unit in zip(own, vectors, strict=True):
+        if unit.ndim == 3:
+            found.append(unit.transpose(0, 2, 1) @ left[index])
+        else:
+            found.append(np.einsum("btkl,tkb->tlb", unit, left[index]))
+    start = 0
+    for along in found:
+        added = one_sided[start : start + len(along)]
+        along[added] = np.maximum(along[added], 0.0)
+        start += len(along)
+    return np.concatenate([(along**2).sum(axis=1) for along in found])
+
+
 def _unit_vectors(inner: np.ndarray, block: np.ndarray) -> np.ndarray:
     """Vectors (..., k, k) of unit information from what is left (inner) of columns (block).
 
@@ -348,21 +331,3 @@ def _unit_vectors(inner: np.ndarray, block: np.ndarray) -> np.ndarray:
     weight = np.where(values > least, 1.0 / np.sqrt(np.maximum(values, least)), 0.0)
     weight[block[..., 0, 0] <= 1e-300] = 0.0
     return vectors * weight[..., None, :] / size[..., :, None]
-
-
-def _solved(gram, score, ridge, added=False):
-    """s' (G + ridge)^-1 s of stacks (b, k, k), (b, k); columns that are not there do not count.
-
-    ``added``: the last column may only be added.
-    """
-    own = gram + np.diag(ridge)
-    size = np.sqrt(np.maximum(np.einsum("bii->bi", own), 1e-300))
-    scaled = own / size[:, :, None] / size[:, None, :]
-    scaled = scaled + 1e-8 * np.eye(gram.shape[1])
-    pulled = score / size
-    found = np.linalg.solve(scaled, pulled[:, :, None])[:, :, 0]
-    value = np.einsum("bk,bk->b", pulled, found)
-    if added and (found[:, -1] < 0).any():
-        without = _solved(gram[:, :-1, :-1], score[:, :-1], ridge[:-1])
-        value = np.where(found[:, -1] < 0, without, value)
-    return value

@@ -118,7 +118,7 @@ def _expected(analysis, a: Candidate, b: Candidate, design, number, cache) -> fl
     scatter = analysis.state.scatters.get(protocol) or Scatter(0.04, 0.03, 1.2)
     values = a.fitted.as_dict()
     values = {p.name: values.get(p.name, p.null) for p in design.null_parameters}
-    group = make_groups(design, design.sensitivity(values), np.ones(len(design.y), bool))[0]
+    group = make_groups(design, design.sensitivity(values))[0]
     variance = group.variance(scatter) + s_a + s_b
     difference = f_a - f_b
     return float(0.5 * difference @ np.linalg.solve(variance, difference))

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from slipstitch.criticise.inference.candidates import number_of_runs
 from slipstitch.criticise.inference.smooth_factor import (
     LEVEL_SD,
     Fitted,
@@ -21,18 +20,6 @@ AS_WELL_BIC, MOST_EDGES, LEAST_FACTOR = 2.0, 40, 0.02
 # How a formula calls a covariate, and where its factor is 1; else in the middle of the range.
 SYMBOLS = {"pos_x_mm": "x", "clock_min": "t", "speed_mm_s": "v", "load_ratio": "p/p0"}
 REFERENCE = {"speed_mm_s": 10.0, "load_ratio": 1.0}
-
-
-@dataclass(frozen=True)
-class Formula:
-    """A short formula that fits as well as the curve: its coefficients are those where it is 1."""
-
-    shape: str
-    text: str
-    parameter: float
-    interval: tuple[float, float]
-    coefficients: dict[str, float]
-    delta_bic: float
 
 
 @dataclass(frozen=True)
@@ -132,18 +119,18 @@ def _edge(track: Track, curve: Fitted) -> float:
     return float(f"{10**edge if track.covariate.logarithmic else edge:.3g}")
 
 
-def rounded(values: np.ndarray) -> tuple[float, ...]:
-    return tuple(float(f"{value:.6g}") for value in values)
+def rounded(values: np.ndarray) -> list[float]:
+    return [float(f"{value:.6g}") for value in values]
 
 
 def short_formula(
     problem: Problem, track: Track, curve: Fitted, names: list[str], reach: float
-) -> tuple[Formula | None, tuple[str, ...]]:
+) -> tuple[dict | None, list[str]]:
     """The best named shape, if it fits as well as the curve by BIC (size and length: two).
 
-    And the names of those whose fit did not converge.
+    Its coefficients are those where it is 1. And the names of those whose fit did not converge.
     """
-    cost = np.log(max(number_of_runs(problem.measurements, problem.keep), 2))
+    cost = np.log(max(problem.measurements.runs, 2))
     limit = -2 * curve.log_likelihood + 2 * cost
     best, unknown = None, []
     for shape in _shapes(track, _edge(track, curve)):
@@ -159,17 +146,17 @@ def short_formula(
         if best is None or bic < best[0]:
             best = bic, shape, found
     if best is None or best[0] > limit + AS_WELL_BIC:
-        return None, tuple(unknown)
+        return None, unknown
     bic, shape, found = best
     value, half = float(found.values[0]), float(reach * np.sqrt(found.covariance[-1, -1]))
     ends = np.array([shape.parameter(value + step) for step in (-half, 0.0, half)])
     low, estimate, high = rounded(np.sort(ends))
-    formula = Formula(
-        shape.name,
-        shape.text(value),
-        estimate,
-        (low, high),
-        dict(zip(names, rounded(np.exp(found.level)), strict=True)),
-        float(bic - limit),
-    )
-    return formula, tuple(unknown)
+    formula = {
+        "text": shape.text(value),
+        "shape": shape.name,
+        "parameter": estimate,
+        "ci95": [low, high],
+        "coefficients": dict(zip(names, rounded(np.exp(found.level)), strict=True)),
+        "delta_bic": round(float(bic - limit), 2),
+    }
+    return formula, unknown

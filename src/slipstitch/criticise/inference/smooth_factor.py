@@ -142,7 +142,6 @@ class Problem:
     """The measurements beside which forms are fitted."""
 
     measurements: Measurements
-    keep: np.ndarray
     null: Fit
     scatters: dict[str, Scatter]
 
@@ -153,9 +152,9 @@ class Problem:
 
     @cached_property
     def usable(self) -> np.ndarray:
-        """(n,) kept features that friction acts on."""
-        _, d = self.response.at(self.response.level, np.zeros(len(self.keep)))
-        return self.keep & self.measurements.of_friction & (d != 0)
+        """(n,) features that friction acts on."""
+        _, d = self.response.at(self.response.level, np.zeros(len(self.measurements.y)))
+        return self.measurements.of_friction & (d != 0)
 
     def fit(self, form: Form | None) -> Fitted:
         """A form (None: the null) with its scatter."""
@@ -185,7 +184,7 @@ class Problem:
             random = np.arange(columns.shape[1]) >= free_count
             if form is not None and form.roots is None:
                 random &= ~own
-            groups = make_groups(m, d, self.keep & ~m.lower_bound)
+            groups = make_groups(m, d)
 
             model = Fitted(
                 level, values, scatters, groups, d, columns, target, random, own & random
@@ -216,7 +215,8 @@ class Problem:
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Prediction, d(prediction)/d(ln mu) and slopes (n, k) in the form's parameters."""
         if form is None:
-            return *self.response.at(level, np.zeros(len(self.keep))), np.zeros((len(self.keep), 0))
+            count = len(self.measurements.y)
+            return *self.response.at(level, np.zeros(count)), np.zeros((count, 0))
         track, log_factor = form.track, form.log_factor
 
         def moved(k: int) -> np.ndarray:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slipstitch.criticise.inference.alternatives import alternatives
+from slipstitch.criticise.inference.alternatives import Alternatives, alternatives
 from slipstitch.criticise.inference.fit import Fit, Weights, fit
 from slipstitch.criticise.inference.mixed_model import (
     START_SCATTER,
@@ -29,13 +29,17 @@ class State:
 
     measurements: Measurements
     fitted: Fit
-    keep: np.ndarray
     groups: list[Group]
     scatters: dict[str, Scatter]
     weights: Weights
     sensitivity: np.ndarray
     tests: list[Test]
     untestable: dict[str, str]
+
+    @property
+    def keep(self) -> np.ndarray:
+        """(n,) features that are no outliers."""
+        return self.measurements.usual
 
     def outcome(
         self, rng: np.random.Generator, replicates: int, limits: tuple[float, ...] = ()
@@ -51,15 +55,15 @@ class State:
 def state_at(
     measurements: Measurements,
     fitted: Fit,
-    keep: np.ndarray,
     start: dict[str, Scatter] | None = None,
+    found: Alternatives | None = None,
 ) -> State:
     """Estimate the scatter at a fitted model and set up the weights and tests there."""
     sensitivity = fitted.sensitivity()
-    found = alternatives(measurements, fitted, keep)
+    found = found or alternatives(measurements, fitted)
     residual = measurements.y - fitted.prediction
     scatters = {}
-    for group in make_groups(measurements, sensitivity, keep & ~measurements.lower_bound):
+    for group in make_groups(measurements, sensitivity):
         scatters[group.protocol], _ = estimate_scatter(
             group,
             residual[group.index],
@@ -67,11 +71,10 @@ def state_at(
             zeros_of(measurements, group),
             (start or {}).get(group.protocol, START_SCATTER),
         )
-    weights = Weights(measurements, sensitivity, keep, scatters)
+    weights = Weights(measurements, sensitivity, scatters)
     return State(
         measurements,
         fitted,
-        keep,
         weights.groups,
         scatters,
         weights,
@@ -92,20 +95,24 @@ class Refit:
 
 def refit(
     measurements: Measurements,
-    keep: np.ndarray,
     causes: tuple[str, ...],
     start: Fit,
     scatters: dict[str, Scatter],
+    sensitivity: np.ndarray,
     nuisance: np.ndarray | None = None,
 ) -> Refit:
     """Fit causes and scatter in turn, from a fit and scatters to start from.
 
-    ``nuisance`` (n, q) columns are fitted freely.
+    Parameters
+    ----------
+    sensitivity : (n,) by which scatter enters, the same for all models that are compared: slips
+        that sampling puts on a grid make it jump with the coefficient.
+    nuisance : (n, q) columns that are fitted freely.
     """
     fitted, scatters = start, dict(scatters)
     total = -np.inf
     for _ in range(REFITS):
-        weights = Weights(measurements, fitted.sensitivity(), keep, scatters, nuisance)
+        weights = Weights(measurements, sensitivity, scatters, nuisance)
         fitted = fit(measurements, weights, causes, fitted.as_dict())
         residual = measurements.y - fitted.prediction
         total = weights.log_probability(fitted.prediction)

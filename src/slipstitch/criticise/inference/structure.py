@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy.special import chdtrc, gammaln
+from scipy.special import chdtrc, gammaln, log_ndtr
 from scipy.stats import beta
 
 # Of the family-wise error.
@@ -151,10 +151,15 @@ def outcome_of(
 
 
 def _minus_log10(statistic, degrees):
-    """-log10 of the upper tail of chi squared, by its leading asymptotic term far out."""
-    x, half = np.broadcast_arrays(np.maximum(statistic, 0.0), np.asarray(degrees) / 2.0)
-    far = x > 400.0
-    with np.errstate(divide="ignore"):
-        exact = np.log(chdtrc(2 * half, np.where(far, 1.0, x)))
-        tail = (half - 1) * np.log(np.maximum(x, 1.0) / 2) - x / 2 - gammaln(half)
-    return -np.where(far, tail, exact) / np.log(10.0)
+    """-log10 of the upper tail of chi squared; of many degrees by its leading term far out."""
+    x, degrees = np.broadcast_arrays(np.maximum(statistic, 0.0), np.asarray(degrees))
+    found = np.where(degrees == 1, np.log(2.0) + log_ndtr(-np.sqrt(x)), -0.5 * x)
+    more = degrees > 2
+    if more.any():
+        own, half = x[more], 0.5 * degrees[more]
+        far = own > 400.0
+        with np.errstate(divide="ignore"):
+            exact = np.log(chdtrc(2 * half, np.where(far, 1.0, own)))
+            tail = (half - 1) * np.log(np.maximum(own, 1.0) / 2) - own / 2 - gammaln(half)
+        found[more] = np.where(far, tail, exact)
+    return -found / np.log(10.0)

@@ -174,7 +174,12 @@ def _of_scatter(verdict: dict) -> list[str]:
 def _certificate(verdict: dict) -> list[str]:
     shown = verdict["certificate"]
     rows = [
-        (MECHANISMS[name].title, f"{found['size']:.3g}", found["unit"])
+        (
+            MECHANISMS[name].title,
+            f"{found['size']:.3g}",
+            "-" if found["named_from"] is None else f"{found['named_from']:.3g}",
+            found["unit"],
+        )
         for name, found in shown["smallest_detectable"].items()
         if found["size"] is not None
     ]
@@ -184,7 +189,7 @@ def _certificate(verdict: dict) -> list[str]:
         "## What this design could have seen",
         f"Each of these, alone and of this size, is seen in {100 * shown['power']:.0f} of 100 such "
         f"campaigns; {false_alarm_words(shown)}.",
-        _table(("mechanism", "smallest size seen", "unit"), rows),
+        _table(("mechanism", "smallest size seen", "named from", "unit"), rows),
     ]
 
 

@@ -1,0 +1,236 @@
+"""Heavy tails of the mixed model: runs and features that lie far off, sensors noisier than stated.
+
+A run's friction is of the usual scatter or, rarely, of a wide one, and so is a feature's error.
+With the probability that each is of the wide one, the model is normal again: fits, tests and the
+null that is simulated see the run or feature with the variance of its mean precision. A sensor's
+noise is as large as its own residuals within runs say, if that is more than is stated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2 as chi_square
+
+from slipstitch.criticise.inference.alternatives import Alternatives, alternatives, rich_columns
+from slipstitch.criticise.inference.fit import Fit, Weights, fit
+from slipstitch.criticise.inference.mixed_model import (
+    START_SCATTER,
+    Clusters,
+    Group,
+    Scatter,
+    estimate_scatter,
+    make_groups,
+    zeros_of,
+)
+from slipstitch.criticise.inference.state import State, state_at
+from slipstitch.criticise.measurements import Measurements, Outlier
+
+# Prior probabilities of the wide component; its standard deviation in ln mu of a run, and in units
+# of the noise of a feature. A run that went wrong is off by a third; not tuned.
+FAR_RUN, FAR_FEATURE = 0.03, 0.01
+WIDE_RUN, WIDE_FEATURE = 0.3, 8.0
+# Runs and features that are taken as far off before the scatter is known, at most of all.
+FIRST_SHARE = 0.12
+ROUNDS = 6
+# Prior standard deviation of the logarithm of a sensor's noise over what the protocol's is.
+LOG_NOISE_SD = 0.6
+# An effect whose columns stand out like this does not count as scatter; so many at most.
+STANDS_OUT, MOST_EFFECTS = 1e-3, 2
+FEWEST_RUNS = 5
+
+
+def robust_fit(
+    measurements: Measurements, causes: tuple[str, ...] = (), start: Fit | None = None
+) -> tuple[Fit, State]:
+    """Fit causes with heavy tails; the state's measurements allow for what lies far off."""
+    fitted = start or _first_fit(measurements, causes)
+    found = alternatives(measurements, fitted)
+    allowing = with_heavy_tails(measurements, fitted, found)
+    scatters = state_at(allowing, fitted, found=found).scatters
+    for _ in range(2):
+        weights = Weights(allowing, fitted.sensitivity(), scatters)
+        fitted = fit(allowing, weights, causes, fitted.as_dict())
+        state = state_at(allowing, fitted, scatters)
+        scatters = state.scatters
+    return fitted, state
+
+
+def _first_fit(measurements: Measurements, causes: tuple[str, ...]) -> Fit:
+    """A fit with usual scatters; sensitivities from a first guess of the coefficients."""
+    values: dict[str, float] = {}
+    for _ in range(2):
+        named = {p.name: values.get(p.name, p.null) for p in measurements.null_parameters}
+        scatters = dict.fromkeys(np.unique(measurements.protocol), START_SCATTER)
+        weights = Weights(measurements, measurements.sensitivity(named), scatters)
+        fitted = fit(measurements, weights, causes, values)
+        values = fitted.as_dict()
+    return fitted
+
+
+def with_heavy_tails(measurements: Measurements, fitted: Fit, found: Alternatives) -> Measurements:
+    """The measurements with wider uncertainties and runs where they lie far off a fit."""
+    m = measurements
+    u, astray, outliers = m.u.copy(), m.astray.copy(), []
+    residual = m.y - fitted.prediction
+    for group in make_groups(m, found.sensitivity):
+        if len(np.unique(group.run)) < FEWEST_RUNS:
+            continue
+        tails = _Tails(m, group, residual[group.index], found)
+        for number in range(ROUNDS):
+            tails.update(number)
+        u[group.index], astray[group.index] = tails.group.u, tails.group.astray
+        outliers += tails.outliers()
+    outliers.sort(key=lambda pair: -pair[0])
+    return replace(m, u=u, astray=astray, outliers=tuple(outlier for _, outlier in outliers))
+
+
+@dataclass
+class _Far:
+    """Whether runs (or features) are of the wide component: deviation, t and probability."""
+
+    deviation: np.ndarray
+    variance: np.ndarray
+    wide: np.ndarray
+    log_odds: np.ndarray
+    probability: np.ndarray
+
+    @property
+    def excess(self) -> np.ndarray:
+        """The variance beyond the usual that gives the mean precision."""
+        usual, wide = self.variance, self.variance + self.wide
+        mean = (1 - self.probability) / usual + self.probability / wide
+        return 1 / mean - usual
+
+
+def _far(deviation, variance, wide, prior) -> _Far:
+    log_odds = np.log(prior) + 0.5 * (
+        deviation**2 / variance - deviation**2 / (variance + wide) - np.log1p(wide / variance)
+    )
+    return _Far(deviation, variance, wide, log_odds, np.zeros(len(deviation)))
+
+
+class _Tails:
+    """The tails of one protocol's features about a fit, updated in turn with its scatter."""
+
+    def __init__(self, measurements: Measurements, group: Group, residual, found: Alternatives):
+        self._m, self._stated, self.group = measurements, group, group
+        self._residual, self._tests = residual, found.tests
+        # Effects would count as scatter, and hide what lies far off, without columns for them.
+        self._rich = np.column_stack(
+            [rich_columns(found.tests, group), zeros_of(measurements, group)]
+        )
+        self._free, self._effects = group.level(), 0
+        self._scatter = START_SCATTER
+        _, self._run = np.unique(group.run, return_inverse=True)
+        self._quantity = measurements.rows["quantity"].to_numpy()[group.index]
+        self._noise = np.ones(len(residual))
+        self._several = len(residual) > 1.5 * (self._run.max() + 1)
+
+    def update(self, number: int) -> None:
+        """Scatter, then the probabilities of the wide components, then the sensors' noise."""
+        residual, group = self._residual[:, None], self.group
+        scatter, _ = estimate_scatter(group, residual[:, 0], self._free, self._rich, self._scatter)
+        precision = self._precision(scatter)
+        last = number == ROUNDS - 1 or self._effects == MOST_EFFECTS
+        column = None if last else self._outstanding(precision)
+        if column is not None:
+            self._effects += 1
+            self._free = np.column_stack([self._free, column])
+            scatter, _ = estimate_scatter(group, residual[:, 0], self._free, self._rich, scatter)
+            precision = self._precision(scatter)
+        self._scatter = scatter
+        pulled = precision @ residual[:, 0]
+        usual = (scatter.kappa * self._noise * self._stated.u) ** 2
+        self._judge(precision, pulled, usual)
+        if number == 0:
+            self._limit()
+        if self._several and number:
+            self._louder(precision, pulled, usual)
+        usual = self._noise * self._stated.u
+        u = np.sqrt(usual**2 + self._features.excess / scatter.kappa**2)
+        self.group = replace(group, u=u, astray=self._runs.excess[self._run])
+
+    def _precision(self, scatter: Scatter) -> np.ndarray:
+        """V^-1, less what rich columns (unit prior sd) and free ones take."""
+        columns = np.column_stack([self._rich, self._free])
+        free = np.arange(columns.shape[1]) >= self._rich.shape[1]
+        clusters = Clusters(self.group, columns)
+        taken = clusters.solved(scatter, columns)
+        core = columns.T @ taken + np.diag(np.where(free, 0.0, 1.0))
+        precision = clusters.solved(scatter, np.eye(len(columns)))
+        return precision - taken @ np.linalg.pinv(core, hermitian=True) @ taken.T
+
+    def _outstanding(self, precision: np.ndarray) -> np.ndarray | None:
+        """The alternative's columns that stand out most, if they do."""
+        best, chosen = -np.log(STANDS_OUT), None
+        for test in self._tests:
+            columns = test.columns[self.group.index]
+            gram, score = columns.T @ precision @ columns, columns.T @ precision @ self._residual
+            if gram[0, 0] <= 1e-9 or test.nuisance is not None:
+                continue
+            ratio = float(score @ np.linalg.pinv(gram, 1e-6, hermitian=True) @ score)
+            evidence = -chi_square.logsf(ratio, columns.shape[1])
+            if evidence > best:
+                best, chosen = evidence, columns
+        return chosen
+
+    def _judge(self, precision, pulled, usual) -> None:
+        """Odds that a run, or one feature of it, is of the wide component; each excludes others."""
+        d, run, count = self._stated.sensitivity, self._run, self._run.max() + 1
+        same = run[:, None] == run[None, :]
+        information = np.bincount(run, d * ((precision * same) @ d), count)
+        there = information > 1e-9
+        information = np.where(there, information, 1.0)
+        excess = np.zeros(count)
+        excess[run] = self.group.astray
+        variance = np.maximum(1 / information - excess, 1e-12)
+        deviation = np.bincount(run, d * pulled, count) / information
+        self._runs = _far(deviation, variance, np.full(count, WIDE_RUN**2), FAR_RUN)
+        self._runs.log_odds[~there] = -np.inf
+        diagonal = np.maximum(precision.diagonal(), 1e-12)
+        kappa = self._scatter.kappa
+        variance = 1 / diagonal - ((kappa * self.group.u) ** 2 - usual)
+        variance = np.maximum(variance, 1e-3 * usual)
+        self._features = _far(pulled / diagonal, variance, WIDE_FEATURE**2 * usual, FAR_FEATURE)
+        alone = np.bincount(run, minlength=count) == 1
+        self._features.log_odds[(alone & there)[run]] = -np.inf
+        odds = np.exp(np.minimum(self._runs.log_odds, 500.0))
+        of_features = np.exp(np.minimum(self._features.log_odds, 500.0))
+        whole = 1 + odds + np.bincount(run, of_features, count)
+        self._runs.probability = odds / whole
+        self._features.probability = of_features / whole[run]
+
+    def _limit(self) -> None:
+        """The usual scatter is not known yet: no more than a share may be far off."""
+        for far in (self._runs, self._features):
+            most = 1 + int(FIRST_SHARE * len(far.log_odds))
+            order = np.argsort(-far.probability)
+            far.probability[order[most:]] = 0.0
+
+    def _louder(self, precision, pulled, usual) -> None:
+        """Each sensor's noise by its own residuals (restricted likelihood), never below stated."""
+        for name in np.unique(self._quantity):
+            mine = self._quantity == name
+            degrees = float((precision.diagonal() * usual)[mine].sum())
+            squares = float((pulled**2 * usual)[mine].sum())
+            if degrees < 1.0:
+                continue
+            step = 0.5 * np.log(max(squares, 1e-3) / degrees)
+            weight = 2 * degrees / (2 * degrees + LOG_NOISE_SD**-2)
+            log_noise = weight * (np.log(self._noise[mine][0]) + step)
+            self._noise[mine] = np.exp(max(log_noise, 0.0))
+
+    def outliers(self) -> list[tuple[float, Outlier]]:
+        """Runs and features that are more likely far off than not, with how far."""
+        names, found = self._m.rows["run_id"].to_numpy()[self.group.index], []
+        for far, mine in ((self._runs, self._run), (self._features, np.arange(len(names)))):
+            for i in np.flatnonzero(far.probability > 0.5):
+                own = np.flatnonzero(mine == i)
+                t = float(far.deviation[i] / np.sqrt(far.variance[i]))
+                whole = far is self._runs
+                what = "run-level outlier" if whole else f"outlier in {self._quantity[i]}"
+                reason = f"{what}, t={t:.1f}"
+                found.append((abs(t), Outlier(str(names[own[0]]), reason, self.group.index[own])))
+        return found
