@@ -151,7 +151,8 @@ def _textured(rng, count: int, step_mm: float, assumed, protocol: str) -> np.nda
 
 def _weights(runs: pd.DataFrame, nominal: Mapping[str, float]) -> np.ndarray:
     """Of cloth and added mass, N."""
-    return sum(masses_of(runs, nominal)) * GRAVITY_M_S2
+    cloth, added = masses_of(runs, nominal)
+    return (cloth + added) * GRAVITY_M_S2
 
 
 def _drag(runs, nominal, assumed, rng) -> Iterator[pd.DataFrame]:

@@ -76,7 +76,8 @@ def within_runs(case: Case, measurements: Measurements) -> dict:
 def _runs(case: Case) -> list[_Run]:
     runs = case.tables["spring_slider_runs"]
     parts = dict(list(case.tables["spring_slider"].groupby("run_id", sort=False)))
-    mass = sum(masses_of(runs, case.nominal))
+    cloth, added = masses_of(runs, case.nominal)
+    mass = cloth + added
     found = []
     for (_, run), load_kg in zip(runs.iterrows(), mass, strict=True):
         slider = Slider(float(load_kg), run["spring_N_m"], 1e-3 * run["speed_mm_s"])
