@@ -83,7 +83,6 @@ def test_for_a_covariate_that_was_not_recorded_nothing_else_is_blamed(fixed, hid
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(strict=True, reason="force_offset with tilt is named for a threefold direction")
 def test_nothing_is_blamed_for_a_threefold_direction_that_was_not_recorded(tmp_path):
     truth, analysis = judged(tmp_path, 40, "unrecorded")
     assert analysis.verdict != "cause" or set(analysis.causes) == set(truth["effects"])
