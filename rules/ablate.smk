@@ -59,7 +59,7 @@ rule ablate_summary:
         mem_mb=1024,
         runtime=15,
     params:
-        *settings("ablate", "evaluate"),
+        *settings("ablate"),
         code=code_of("ablate"),
         config=CONFIG_FILE,
     message:

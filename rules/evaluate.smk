@@ -30,8 +30,7 @@ rule evaluate_all:
         mem_mb=job_memory_mb("evaluate", CONFIG),
         runtime=job_runtime_min("evaluate", CONFIG),
     params:
-        *settings("evaluate", also=("sample.frames",)),
-        views=VIEW_ORDER,
+        *settings(also=("sample.frames",)),
         code=code_of("evaluate"),
         shipped=Path(SHIPPED, "SHA256SUMS").read_text(),
         config=CONFIG_FILE,

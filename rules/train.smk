@@ -70,7 +70,7 @@ rule train_one:
         *settings(
             "seed",
             "train",
-            train={"seeds", "reflective_seeds", "splits"},
+            train={"seeds", "splits"},
         ),
         views=VIEW_ORDER,
         code=code_of("train"),

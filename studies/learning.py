@@ -142,7 +142,8 @@ def main() -> None:
                 step = lrcn_step(lrcn_of(frames), frames, reduced)
                 say(f"LRCN, {pixels} pixels, {name}", count, *timed(step, chosen.steps))
             if bfloat16:
-                network = lrcn_of(frames, dropout=0.0)
+                network = lrcn_of(frames)
+                network.fully_connected[2].p = 0.0  # no dropout
                 first, step = cosine(network, frames), lrcn_step(network, frames, True)
                 for _ in range(10):
                     step()

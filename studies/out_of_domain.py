@@ -43,7 +43,6 @@ def predictions(dataset, instrument):
 def scores(rows):
     """Return the scores of the rows; every simulation counts once for the coverage."""
     answers = PredictionsAndTruth(
-        0.1,
         np.array([row["prediction"] for row in rows]),
         np.array([row["friction"] for row in rows]),
         intervals=np.array([(row["low"], row["high"]) for row in rows]),

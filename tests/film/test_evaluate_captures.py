@@ -15,7 +15,6 @@ from slipstitch.base.provenance import read_provenance
 from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.config.catalogue import VIEWPOINTS
-from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.config.train import TrainSettings
 from slipstitch.dataset.dataset import write_dataset
@@ -218,7 +217,6 @@ def test_captures_go_through_all_networks(bench, capsys):
 
 def evaluated(bench, out, instruments, **which):
     return write_captures_evaluation(
-        EvaluateSettings(),
         ingested(bench, "surrogates"),
         Trained(bench / "train", instruments, **which),
         out / "metrics.json",

@@ -28,6 +28,7 @@ from slipstitch.images.camera import pose
 from slipstitch.learning.instrument.alarm import Alarm
 from slipstitch.learning.instrument.distribution import friction_grid, probabilities_on_grid
 from slipstitch.learning.instrument.measuring import ErrorBars, save_instrument
+from slipstitch.learning.instrument.network import RECURRENT_UNITS
 
 PATH = StagePath()
 START_S = 3.1
@@ -124,7 +125,7 @@ def test_the_page_shows_where_the_instrument_sees_the_cloth(bench):
 
 def test_the_error_bar_of_a_distribution_at_the_end_of_the_grid_is_not_zero():
     """Half of the middle 68 %, here from 0 to one standard deviation."""
-    grid = friction_grid(1.5, 0.01)
+    grid = friction_grid(1.5)
     middles = (grid[1:] + grid[:-1]) / 2
     shares = probabilities_on_grid(ndtr(middles / 0.005)[None])[0]
     assert _half_width(grid, shares) == pytest.approx(0.0025, rel=0.02)
@@ -206,7 +207,7 @@ def test_repeats_have_no_combined_interval_where_the_instrument_has_no_error_bar
     settings = InstrumentSettings(channels=[8, 8, 8], draws=1)
     instrument = untrained_instrument(settings, ["denim", "felt"], 64, frames=6)
     instrument.card["calibration_simulations"] = 4
-    width = 2 * settings.recurrent_units
+    width = 2 * RECURRENT_UNITS
     parts = np.zeros((4, 6 * 144)), np.ones(4), np.zeros(width), np.eye(width)
     calm = Alarm(np.zeros(6 * 144), *parts, np.zeros(4), np.ones(4), threshold=1e9)
     bars = ErrorBars(1.0, 1.0, np.inf, calm)

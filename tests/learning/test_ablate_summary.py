@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 
 from slipstitch.base.errors import BadInput
-from slipstitch.learning.ablation.ablations_page import ablations_page
-from slipstitch.learning.ablation.summary import interval, summarise
+from slipstitch.learning.ablation.summary import ablations_page, interval, summarise
 
 TEXTURES = 3
 
@@ -56,7 +55,7 @@ def answers(
 
 
 def summed(*words, **options):
-    return summarise(answers(*words, **options), 0.1)["questions"]["diversity"]
+    return summarise(answers(*words, **options))["questions"]["diversity"]
 
 
 def concluded(*words, **options):
@@ -99,7 +98,7 @@ def test_videos_of_one_simulation_are_not_independent():
     tripled = answers(0.01)
     for one in tripled:
         one["predictions"] *= 3
-    (many,) = summarise(tripled, 0.1)["questions"]["diversity"]["comparisons"]
+    (many,) = summarise(tripled)["questions"]["diversity"]["comparisons"]
     assert (few["low"], few["high"]) == pytest.approx((many["low"], many["high"]))
 
 
@@ -135,13 +134,13 @@ def test_answers_of_different_datasets_are_refused():
     mixed = answers(0.0)
     mixed[1]["dataset_digest"] = "another"
     with pytest.raises(BadInput, match="from different datasets"):
-        summarise(mixed, 0.1)
+        summarise(mixed)
 
 
 def test_the_page_has_every_sentence_picture_and_reason():
     left_out = {**answers(0.0)[0], "question": "floors", "left_out": "floors: mirrors are needed"}
     left_out |= {"predictions": []}
-    summary = summarise([*answers(0.04), left_out], 0.1)
+    summary = summarise([*answers(0.04), left_out])
     page = ablations_page(summary)
     (found,) = summary["questions"]["diversity"]["comparisons"]
     for text in (
@@ -152,7 +151,7 @@ def test_the_page_has_every_sentence_picture_and_reason():
         assert text in page
     assert page.count("data:image/svg+xml") == 1
     assert "Of 1 comparison, about 0.1" in page
-    assert "–" in ablations_page(summarise(answers(0.04, failures=3), 0.1))
+    assert "–" in ablations_page(summarise(answers(0.04, failures=3)))
 
 
 def held(method, seed_size, simulation_size, noise, seeds=3, simulations=20, draws=600):

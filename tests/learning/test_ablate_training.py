@@ -21,7 +21,7 @@ GRID = {"materials": ["gray-interlock", "ivory-rib-knit"], "frictions": [0.1, 0.
 def configuration(**ablate):
     return synthetic_videos.config(
         grid={**GRID, "replicates": 3},
-        train={"fine_tuning_epochs": 1, "channels": [16, 32], "lstm_units": 32},
+        train={"fine_tuning_epochs": 1, "channels": [16, 32]},
         instrument={"pixels": 32, "channels": [8, 16], "draws": 1, "precision": "float32"},
         sample={"validation_fraction": 0.0, "test_fraction": 0.2},
         ablate={"passes": 2, "instrument_passes": 2, **ablate},
@@ -102,9 +102,9 @@ def test_a_run_that_stays_at_chance_or_diverges_is_a_result(dataset, tmp_path):
 
 
 def test_what_the_ablation_changes_in_the_training():
-    config = configuration(train={"dropout": 0.5})
+    config = configuration(train={"width": 0.5})
     settings = lrcn_settings(config, {"initialisation": "glorot"})
-    assert (settings.dropout, settings.initialisation) == (0.5, "glorot")
+    assert (settings.width, settings.initialisation) == (0.5, "glorot")
     assert settings.plateau_margin is None and settings.channels == [16, 32]
 
 

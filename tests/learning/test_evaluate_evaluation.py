@@ -14,7 +14,6 @@ from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import file_digest, read_provenance
 from slipstitch.cli.main import main
 from slipstitch.config import write_config
-from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.config.train import REFLECTIVE, TRAINED_ON
 from slipstitch.dataset.dataset import write_dataset
 from slipstitch.dataset.videos import read_videos
@@ -26,8 +25,8 @@ from slipstitch.learning.evaluation.evaluation import Outputs, write_evaluation
 from slipstitch.learning.evaluation.metrics import FIELDS
 from slipstitch.learning.evaluation.probes import PREFIX
 from slipstitch.learning.evaluation.scores import network_of, recomputed
+from slipstitch.learning.evaluation.test_sets import wrong_inputs
 from slipstitch.learning.evaluation.trained import Trained
-from slipstitch.learning.evaluation.wrong_inputs import wrong_inputs
 from slipstitch.learning.instrument.ensemble import combine_instruments, recalibrate_instrument
 from slipstitch.learning.instrument.training import train_instrument
 from slipstitch.learning.lrcn_model import load_model
@@ -86,9 +85,7 @@ def evaluated(chain):
 def evaluate(chain, trained, out, **options):
     names = ("metrics.json", "predictions.parquet", "details.json")
     outputs = Outputs(*(out / name for name in names))
-    return write_evaluation(
-        EvaluateSettings(), chain / "sample", trained, outputs, calibrated="calibrated", **options
-    )
+    return write_evaluation(chain / "sample", trained, outputs, **options)
 
 
 def content(path):
@@ -292,7 +289,7 @@ def test_models_of_an_earlier_configuration_do_not_count(chain):
     assert found() == set(TRAINED_ON)
     assert found(splits=["by_video"]) == {"by_video"}
     with pytest.raises(BadInput, match="no models found"):
-        found(seeds=[7], reflective_seeds=[7])
+        found(seeds=[7], splits=["by_video"])
 
 
 @pytest.mark.slow
@@ -477,14 +474,12 @@ def test_instruments_alone_are_evaluated_by_camera_fabric_and_coefficient(tmp_pa
     assert file_digest(ensemble / "instrument.safetensors") in inputs.values()
 
 
-def test_scores_of_another_dataset_or_other_settings_are_not_updated(
-    chain, evaluated, tmp_path, capsys
-):
+def test_scores_of_another_dataset_are_not_updated(chain, evaluated, tmp_path, capsys):
     out = shutil.copytree(evaluated, tmp_path / "evaluate")
     config = tmp_path / "c.json"
 
-    def said(dataset, settings, words):
-        write_config(CONFIG.model_copy(update={"evaluate": settings}), config)
+    def said(dataset, words):
+        write_config(CONFIG, config)
         arguments = ["--config", str(config), "--dataset", str(dataset), "--update"]
         arguments += ["--instruments", str(chain / "instrument")]
         arguments += ["--predictions", str(out / "predictions.parquet")]
@@ -493,12 +488,11 @@ def test_scores_of_another_dataset_or_other_settings_are_not_updated(
         assert error.count("\n") == 1 and words in error
 
     before = {path: path.read_bytes() for path in out.iterdir()}
-    said(chain / "sample", EvaluateSettings(friction_step=0.2), "scores by other settings")
     other = shutil.copytree(chain / "sample", tmp_path / "other")
     table = pq.read_table(other / "manifest.parquet")
     pq.write_table(table, other / "manifest.parquet", compression="none")
-    said(other, EvaluateSettings(), "scores of another dataset")
+    said(other, "scores of another dataset")
     assert {path: path.read_bytes() for path in out.iterdir()} == before
     for path in list(out.iterdir()):
         path.unlink()
-    said(chain / "sample", EvaluateSettings(), "no scores to update: run without --update")
+    said(chain / "sample", "no scores to update: run without --update")

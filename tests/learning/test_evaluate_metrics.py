@@ -24,13 +24,13 @@ GRID = np.arange(16) * 0.1
 
 def test_on_the_papers_grid_below_0_1_is_the_class_and_below_0_2_a_neighbour_at_most():
     for true in range(16):
-        off = steps_off(GRID, np.full(16, GRID[true]), 0.1)
+        off = steps_off(GRID, np.full(16, GRID[true]))
         assert off.tolist() == [abs(true - predicted) for predicted in range(16)]
 
 
 def test_friction_scores_of_known_answers():
     truth = np.array([0, 5, 5, 10])
-    scores = friction_scores(GRID[[0, 6, 8, 10]], GRID[truth], 0.1)
+    scores = friction_scores(GRID[[0, 6, 8, 10]], GRID[truth])
     assert scores == {
         "friction_lt_0.1": 0.5,
         "friction_lt_0.2": 0.75,
@@ -40,7 +40,7 @@ def test_friction_scores_of_known_answers():
 
 def test_a_coarse_grid_counts_only_the_exact_class():
     coefficients = np.array([0.1, 0.3, 0.6])
-    scores = friction_scores(coefficients, coefficients[[0, 0, 2]], 0.1)
+    scores = friction_scores(coefficients, coefficients[[0, 0, 2]])
     assert scores["friction_lt_0.1"] == scores["friction_lt_0.2"] == pytest.approx(2 / 3)
 
 
@@ -66,17 +66,17 @@ CLASSES = [{"id": name, "value": value} for name, value in VALUES.items()]
 
 def test_top_1_and_top_2_count_the_fabrics_from_the_likeliest_on():
     rows = table("material_baseline", "abc", "aca", ["abc", "cba", "abc"])
-    assert scores(rows, 0.1) == {
+    assert scores(rows) == {
         "material_top1": pytest.approx(1 / 3),
         "material_top2": pytest.approx(2 / 3),
     }
-    assert scores(table("material_baseline", "abd", "aca", ["abc", "cba", "abc"]), 0.1) == {}
+    assert scores(table("material_baseline", "abd", "aca", ["abc", "cba", "abc"])) == {}
 
 
 def test_chance_the_best_constant_and_confusion_with_true_classes_in_rows():
     rows = table("friction_baseline", "aaabc", "aabbb")
     models = {"by_video": {"friction_baseline": {"classes": CLASSES}}}
-    found = details_of_table(rows, models, 0.1, {})["by_video"]["friction_baseline"]
+    found = details_of_table(rows, models, {})["by_video"]["friction_baseline"]
     error = pytest.approx((0.2 + 0.5) / 5)
     assert found["chance"] == {"uniform": 0.25, "majority": 0.6, "mean_absolute_error": error}
     assert found["confusion"] == [[2, 1, 0, 0], [0, 1, 0, 0], [0, 1, 0, 0], [0, 0, 0, 0]]
@@ -89,8 +89,8 @@ def test_scores_need_no_torch():
 
 def test_an_altered_prediction_alters_the_scores():
     rows = table("friction_baseline", "ab", "ab")
-    (whole,) = metrics_of_table(rows, {}, 0.1)["by_video"].values()
-    (altered,) = metrics_of_table([rows[0], rows[1] | {"predicted_value": 0.6}], {}, 0.1)[
+    (whole,) = metrics_of_table(rows, {})["by_video"].values()
+    (altered,) = metrics_of_table([rows[0], rows[1] | {"predicted_value": 0.6}], {})[
         "by_video"
     ].values()
     assert (whole["friction_lt_0.1"], altered["friction_lt_0.1"]) == (1.0, 0.5)

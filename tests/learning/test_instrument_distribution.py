@@ -6,6 +6,7 @@ import torch
 from scipy.stats import norm
 
 from slipstitch.base.errors import BadInput
+from slipstitch.learning.instrument.calibration import fitted_spread
 from slipstitch.learning.instrument.conformal import covered, grouped_quantile
 from slipstitch.learning.instrument.distribution import (
     conformal_intervals,
@@ -17,9 +18,8 @@ from slipstitch.learning.instrument.distribution import (
     ranked_probability_score,
     spread,
 )
-from slipstitch.learning.instrument.error_bars import fitted_spread
 
-GRID = friction_grid(1.5, 0.01)
+GRID = friction_grid(1.5)
 
 
 def cumulative_of(mean, deviation):

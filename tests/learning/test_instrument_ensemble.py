@@ -18,13 +18,12 @@ from slipstitch.dataset.dataset import write_dataset
 from slipstitch.dataset.videos import read_videos
 from slipstitch.learning.evaluation.trained import Trained
 from slipstitch.learning.instrument.augmentation import phased
-from slipstitch.learning.instrument.calibration_answers import FILE, read_answers
-from slipstitch.learning.instrument.calibration_readings import FILE as READINGS
-from slipstitch.learning.instrument.calibration_readings import kept_readings, read_readings
+from slipstitch.learning.instrument.calibration import ANSWERS, read_answers
 from slipstitch.learning.instrument.conformal import covered, grouped_quantile
 from slipstitch.learning.instrument.distribution import conformal_scales, quantiles, spread
 from slipstitch.learning.instrument.ensemble import combine_instruments, recalibrate_instrument
 from slipstitch.learning.instrument.measuring import CARD, WEIGHTS, load_instrument
+from slipstitch.learning.instrument.readings import READINGS, kept_readings, read_readings
 from slipstitch.learning.instrument.training import train_instrument
 from slipstitch.learning.trainer import Run
 
@@ -38,10 +37,8 @@ CONFIG = synthetic_videos.config(
         "seeds": [0, 1, 2],
         "channels": [8, 16, 24],
         "features": 128,
-        "recurrent_units": 64,
         "epochs": 10,
         "rectification_error": 0.01,
-        "blur_px": 0.0,
         "precision": "float32",
         "points_weight": 1.0,
         "plateau_margin": None,
@@ -146,7 +143,7 @@ def test_its_card_and_its_records_name_its_members(members, average, folder):
     inputs = read_sidecar(folder / "by_simulation/ensemble" / WEIGHTS)["inputs"]
     assert {inputs[name] for name in inputs if name.endswith(WEIGHTS)} == {*card["members_sha256"]}
     assert len(inputs) == 3 + 1  # the manifest has the digests of all pixels
-    kept = read_metadata(folder / "by_simulation/ensemble" / FILE)["provenance"]
+    kept = read_metadata(folder / "by_simulation/ensemble" / ANSWERS)["provenance"]
     assert kept["inputs"] == inputs
 
 
@@ -158,7 +155,7 @@ def test_the_same_members_give_the_same_bits(dataset, members, folder, tmp_path)
 
 
 def test_the_interval_can_be_fitted_again_from_what_is_kept(average, folder):
-    kept = read_answers(folder / "by_simulation/ensemble" / FILE)
+    kept = read_answers(folder / "by_simulation/ensemble")
     assert len({*kept.groups}) == 12
     wide = spread(kept.probabilities, average.grid, average.error_bars.spread)
     scores = conformal_scales(wide, average.grid, 0.9, kept.friction)
@@ -205,7 +202,7 @@ def test_further_datasets_calibrate_it_with_or_without_its_members(
     cards = [{k: v for k, v in one.card.items() if k not in own} for one in (later, at_once)]
     assert cards[0] == cards[1]
     assert later.conformal_scale == at_once.conformal_scale
-    for name in (FILE, READINGS):
+    for name in (ANSWERS, READINGS):
         tables = [pq.read_table(one / name) for one in (recalibrated, tmp_path)]
         assert tables[0].equals(tables[1]), name
     inputs = [read_sidecar(one / WEIGHTS)["inputs"] for one in (recalibrated, tmp_path)]
@@ -223,8 +220,8 @@ def test_intervals_alone_change_and_hold_on_all_simulations_together(
     simulations = len({row["simulation"] for row in videos.rows})
     assert noted == {"digest": videos.digest, "videos": len(videos), "simulations": simulations}
     assert again.card["calibration_simulations"] == 12 + simulations
-    own, readings = read_answers(recalibrated / FILE), kept_readings(recalibrated)
-    assert own.rows == read_answers(folder / "by_simulation/ensemble" / FILE).rows
+    own, readings = read_answers(recalibrated), kept_readings(recalibrated)
+    assert own.rows == read_answers(folder / "by_simulation/ensemble").rows
     told = again.intervals(again.spread_out(own.probabilities))
     stretch = np.array([row["stretch"] for row in readings.rows])
     holds = (told[:, 1] <= own.friction) & (own.friction <= told[:, 2])
@@ -356,7 +353,7 @@ def test_what_cannot_calibrate_is_refused(
     (unknown / f"{WEIGHTS}.provenance.json").unlink()
     with pytest.raises(BadInput, match="has no record of what trained it"):
         recalibrate_instrument(unknown, out, [other_bench])
-    (unknown / FILE).unlink()
+    (unknown / ANSWERS).unlink()
     with pytest.raises(BadInput, match=r"calibration\.parquet: no such file"):
         recalibrate_instrument(unknown, out, [other_bench])
     config = synthetic_videos.config(
@@ -392,7 +389,7 @@ def test_members_that_nothing_calibrates_give_an_average_without_error_bars(othe
         recalibrate_instrument(tmp_path / "out", tmp_path / "again", [other_bench])
     average = load_instrument(tmp_path / "out")
     assert "not calibrated" in average.measure(np.zeros((6, 16, 16, 3), np.uint8)).alarm_reason
-    assert pq.read_table(tmp_path / "out" / FILE).num_rows == 0
+    assert pq.read_table(tmp_path / "out" / ANSWERS).num_rows == 0
 
 
 def test_what_does_not_belong_together_is_refused(dataset, members, folder, tmp_path):

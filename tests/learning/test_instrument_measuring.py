@@ -20,8 +20,8 @@ from slipstitch.learning.instrument.augmentation import (
     rectified_with_errors,
     standardised,
 )
+from slipstitch.learning.instrument.calibration import calibrated
 from slipstitch.learning.instrument.conformal import covered
-from slipstitch.learning.instrument.error_bars import calibrated
 from slipstitch.learning.instrument.measuring import (
     CARD,
     WEIGHTS,
@@ -32,7 +32,7 @@ from slipstitch.learning.instrument.measuring import (
 from slipstitch.learning.instrument.network import shifted_in_time
 from slipstitch.learning.model_file import write_weights
 
-SETTINGS = InstrumentSettings(channels=[8, 16], features=16, recurrent_units=8)
+SETTINGS = InstrumentSettings(channels=[8, 16], features=16)
 FABRICS = ["gray-interlock", "royal-target"]
 HALVES = (slice(0, 16), slice(16, 32))
 
@@ -124,9 +124,16 @@ def test_a_blurred_edge_has_the_width_of_its_gaussian():
     assert (step * (np.arange(31) - centre) ** 2).sum() / step.sum() == pytest.approx(0.49, rel=0.1)
 
 
-def test_an_augmented_video_moves_as_a_whole_by_parts_of_a_pixel():
+@pytest.fixture
+def clear(monkeypatch):
+    """Augmentation without blur and noise."""
+    for name in ("BLUR_PX", "NOISE"):
+        monkeypatch.setattr(f"slipstitch.learning.instrument.augmentation.{name}", 0.0)
+
+
+def test_an_augmented_video_moves_as_a_whole_by_parts_of_a_pixel(clear):
     reach = 0.02
-    settings = InstrumentSettings(noise=0.0, rectification_error=reach, blur_px=0.0)
+    settings = InstrumentSettings(rectification_error=reach)
     video = np.zeros((1, 6, 32, 32, 3), np.uint8)
     video[:, :, :, 10:20] = 200  # a bar, centred at 14.5
 
@@ -143,8 +150,8 @@ def test_an_augmented_video_moves_as_a_whole_by_parts_of_a_pixel():
     assert len({round(move, 1) for move in moves}) > 5
 
 
-def test_an_augmented_videos_colours_change_places():
-    settings = InstrumentSettings(noise=0.0, rectification_error=0.0, blur_px=0.0)
+def test_an_augmented_videos_colours_change_places(clear):
+    settings = InstrumentSettings(rectification_error=0.0)
     video = frames()[None]
     orders = set()
     for seed in range(30):
@@ -196,7 +203,7 @@ def test_altered_files_are_refused(folder, tmp_path):
         {"materials": []},
         {"bfloat16": 1},
         {"pixels": 10**9},
-        {"settings": {"friction_step": 1e-12}},
+        {"settings": {"friction_max": 1e12}},
         {"error_bars": {"spread": 1.0}},
     ],
 )

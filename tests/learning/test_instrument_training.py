@@ -19,7 +19,6 @@ from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.dataset.dataset import write_dataset
 from slipstitch.dataset.manifest import dataset_digest
 from slipstitch.dataset.videos import read_videos
-from slipstitch.learning.curves import curve
 from slipstitch.learning.instrument import training as training_module
 from slipstitch.learning.instrument.augmentation import disordered, phased
 from slipstitch.learning.instrument.keypoints import (
@@ -36,7 +35,7 @@ from slipstitch.learning.instrument.training import (
     train_instrument,
     training_views,
 )
-from slipstitch.learning.trainer import DivergedError, PlateauError, Run
+from slipstitch.learning.trainer import DivergedError, PlateauError, Run, curve
 
 CONFIG = synthetic_videos.config(
     grid={"frictions": [0.2, 0.5, 0.8], "replicates": 6},
@@ -46,10 +45,8 @@ CONFIG = synthetic_videos.config(
 SETTINGS = InstrumentSettings(
     channels=[8, 16, 24],
     features=32,
-    recurrent_units=16,
     epochs=40,
     rectification_error=0.01,  # a quarter of a pixel
-    blur_px=0.0,
     precision="float32",
 )
 

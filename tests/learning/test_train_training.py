@@ -92,17 +92,15 @@ def test_the_schedule_adds_a_viewpoint_each_cycle_and_ends_on_the_calibrated_one
 
 
 def test_the_learning_rate_falls_in_the_last_cycle_and_stays_low_while_fine_tuning():
-    settings = TrainSettings(learning_rate=2.0, annealed_share=0.1, fine_tuning_epochs=2)
+    settings = TrainSettings(learning_rate=2.0, fine_tuning_epochs=2)
     phases = progressive_schedule(settings, ["a", "b"])
 
-    def rates(settings, phase):
+    def rates(phase):
         return [learning_rate(settings, phases, phase, done) for done in (0.0, 0.5, 1.0)]
 
-    assert rates(settings, phases[0]) == pytest.approx([2.0, 2.0, 2.0])
-    assert rates(settings, phases[1]) == pytest.approx([2.0, 1.1, 0.2])
-    assert rates(settings, phases[2]) == pytest.approx([0.2, 0.2, 0.2])
-    constant = settings.model_copy(update={"annealed_share": 1.0})
-    assert [rates(constant, phase) for phase in phases] == [[2.0, 2.0, 2.0]] * 3
+    assert rates(phases[0]) == pytest.approx([2.0, 2.0, 2.0])
+    assert rates(phases[1]) == pytest.approx([2.0, 1.05, 0.1])
+    assert rates(phases[2]) == pytest.approx([0.1, 0.1, 0.1])
 
 
 def test_epochs_until_the_validation_is_flat_come_before_the_last_cycle():
@@ -310,9 +308,10 @@ def test_a_network_that_learns_nothing_fails_and_writes_no_model(dataset, tmp_pa
     assert not (tmp_path / "model.safetensors").exists()
 
 
-def test_a_training_at_chance_is_given_up_early(dataset, tmp_path):
+def test_a_training_at_chance_is_given_up_early(dataset, tmp_path, monkeypatch):
+    monkeypatch.setattr("slipstitch.learning.lrcn_training.PLATEAU_EPOCHS", 3)
     with pytest.raises(PlateauError, match="after 3 epochs"):
-        train(dataset, tmp_path, seed=1, changes={"learning_rate": 1e-9, "plateau_epochs": 3})
+        train(dataset, tmp_path, seed=1, changes={"learning_rate": 1e-9})
 
 
 def test_a_loss_that_is_no_number_stops_the_training(dataset, tmp_path):

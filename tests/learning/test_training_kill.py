@@ -36,7 +36,6 @@ CONFIG = SYNTHETIC.config(
     instrument={
         "channels": [8, 8],
         "features": 8,
-        "recurrent_units": 8,
         "epochs": 12,
         "batch_size": 2,
         "plateau_margin": None,

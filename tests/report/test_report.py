@@ -21,8 +21,8 @@ from slipstitch.base.provenance import file_digest, provenance_record, read_side
 from slipstitch.cli.main import main
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.design.grid import simulations
-from slipstitch.learning.evaluation.cumulative import cumulative_error
 from slipstitch.learning.evaluation.metrics import entry
+from slipstitch.learning.evaluation.paper import cumulative_error
 from slipstitch.learning.evaluation.probes import MIDDLE_FRAME
 from slipstitch.report.captures import capture_errors
 from slipstitch.report.cost import benchmarks
@@ -456,14 +456,19 @@ def test_costs_add_up_over_jobs_and_an_unknown_one_is_a_dash(whole, tmp_path):
     assert table(page_of(tmp_path), "Every stage")[1] == row
 
 
-def test_the_interval_of_the_share_counts_by_the_step_of_the_scores():
-    predictions = [
-        {"seed": 0, "simulation": f"{k}", "true_value": 0.2, "predicted_value": 0.2 + 0.02 * k}
-        for k in range(4)
-    ]
+def test_the_interval_of_the_share_counts_simulations():
+    def found(error):
+        return share_interval(
+            [
+                {"seed": 0, "simulation": f"{k}", "true_value": 0.2}
+                | {"predicted_value": 0.2 + error * k}
+                for k in range(4)
+            ]
+        )
+
     # All of four simulations right says little of the next.
-    assert share_interval(predictions, 0.2) == pytest.approx((0.05**0.25, 1.0))
-    assert share_interval(predictions, 0.1)[0] < 1.0
+    assert found(0.01) == pytest.approx((0.05**0.25, 1.0))
+    assert found(0.02)[1] > 0.75 > found(0.02)[0]  # the last is wrong
 
 
 def test_pictures_are_of_their_time_also_where_more_phases_are_kept(monkeypatch, tmp_path):

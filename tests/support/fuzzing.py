@@ -228,7 +228,6 @@ def decoded(images: dict) -> None:
 
 def _networks(add, config, folder: Path) -> None:
     train = config.train.model_copy(update={"channels": [2, 4], "convolutions": [1, 1]})
-    train = train.model_copy(update={"lstm_units": 4})
     network = LRCN(train, 2, 16)
     card = {
         "network": "friction_baseline", "split": "by_video", "seed": 0, "target": "friction",
@@ -322,9 +321,7 @@ def estimated(angles: Path) -> None:
 
 def _instruments(add, folder: Path) -> None:
     folder.mkdir()
-    settings = InstrumentSettings(
-        channels=[4, 4], features=8, recurrent_units=8, friction_step=0.1, draws=1
-    )
+    settings = InstrumentSettings(channels=[4, 4], features=8, draws=1)
     instrument = untrained_instrument(settings, ["denim", "felt"], 32, frames=4)
     save_instrument(instrument, folder)
     for name in ("instrument.safetensors", "instrument.json"):

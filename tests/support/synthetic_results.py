@@ -279,7 +279,7 @@ def write_captures(folder: Path, surrogate=True, seeds=(0,), trained_on=None) ->
                     **{"low": None, "high": None, "fabrics": [], "alarm": None},
                 }
             )
-    metrics = capture_metrics(rows, 0.1)
+    metrics = capture_metrics(rows)
     out = folder / "captures"
     out.mkdir(parents=True)
     (out / "metrics.json").write_text(json.dumps(metrics))

@@ -37,9 +37,6 @@ def config(**sections) -> Config:
         "train": {
             "channels": [64, 128],
             "convolutions": [1, 1],
-            "lstm_units": 64,
-            "dropout": 0.1,
-            "annealed_share": 1.0,  # so few steps are all needed
             "epochs_per_cycle": 20,
             "fine_tuning_epochs": 2,
             "batch_size": 2,

@@ -177,8 +177,7 @@ def test_changed_friction_reruns_its_simulations_only(chain, config):
         ("render={pixels: 48}", AFTER_SIMULATE),
         ("render={threads: 2}", {"report"}),  # it shows the whole configuration
         ("sample={frames: 7}", AFTER_SIMULATE),
-        ("train={dropout: 0.3}", {"train", "evaluate", "report"}),
-        ("evaluate={friction_step: 0.05}", {"evaluate", "report"}),
+        ("train={learning_rate: 0.5}", {"train", "evaluate", "report"}),
         ("simulation={damping_s: 0.003}", {"calibrate", "simulate"} | AFTER_SIMULATE),
         ("calibrate={strip_vertices: 31}", {"calibrate", "simulate"} | AFTER_SIMULATE),
         ("seed=2", {"simulate"} | AFTER_SIMULATE),

@@ -77,6 +77,6 @@ def test_the_page_is_made_again_for_an_optional_file_that_it_shows(chain, file):
 
 
 def test_the_reason_names_the_changed_setting(chain):
-    answer = chain.plan("-n", "--config", "train={dropout: 0.3}", "--", "train")
+    answer = chain.plan("-n", "--config", "train={learning_rate: 0.5}", "--", "train")
     assert answer.returncode == 0, answer.stderr
-    assert "train.dropout: 0.3" in answer.stdout + answer.stderr
+    assert "train.learning_rate: 0.5" in answer.stdout + answer.stderr

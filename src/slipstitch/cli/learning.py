@@ -200,10 +200,9 @@ def _error_bars(card: dict[str, Any]) -> str:
 @option("--page", type=PAGE, help="with --captures: tables and plots (HTML)")
 def evaluate(arguments: Arguments) -> None:
     """Evaluate, write, print the table."""
-    from slipstitch.design.trainable import view_order
     from slipstitch.film.measure.measuring_bench import shipped_for
     from slipstitch.learning.evaluation.evaluation import Outputs, write_evaluation
-    from slipstitch.learning.evaluation.text_table import test_set_lines
+    from slipstitch.learning.evaluation.metrics import test_set_lines
     from slipstitch.learning.evaluation.trained import Trained
 
     config = configuration(arguments)
@@ -213,18 +212,16 @@ def evaluate(arguments: Arguments) -> None:
         arguments.models, arguments.instruments, config.train, config.instrument.seeds
     )
     if arguments.captures:
-        _captures(config, arguments, trained)
+        _captures(arguments, trained)
         return
     if arguments.page:
         raise BadInput("--page requires --captures")
     trained = replace(trained, shipped=shipped_for(config))
     details = arguments.details or arguments.out.with_name("details.json")
     metrics = write_evaluation(
-        config.evaluate,
         arguments.dataset,
         trained,
         Outputs(arguments.out, arguments.predictions, details),
-        calibrated=view_order(config)[0],
         update=arguments.update,
         threads=arguments.threads,
     )
@@ -234,11 +231,10 @@ def evaluate(arguments: Arguments) -> None:
 def _captures(config, arguments: Arguments, trained) -> None:
     """Evaluate on captures; print one line per model and subset."""
     from slipstitch.film.captures_evaluation import write_captures_evaluation
-    from slipstitch.learning.evaluation.text_table import capture_lines
+    from slipstitch.learning.evaluation.metrics import capture_lines
 
     refuse(arguments, ("details", "update"), "--captures")
     metrics = write_captures_evaluation(
-        config.evaluate,
         arguments.dataset,
         trained,
         arguments.out,

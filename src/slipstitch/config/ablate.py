@@ -19,7 +19,7 @@ VARIANTS: dict[str, dict[str, tuple[str, ...]]] = {
     "floors": dict.fromkeys(("lrcn", "instrument"), ("matte", "mixed")),
 }
 # What a variant sets itself.
-_OWN_TRAIN = ("seeds", "splits", "view_order", "epochs_per_cycle", "plateau_epochs")
+_OWN_TRAIN = ("seeds", "splits", "epochs_per_cycle")
 _OWN_INSTRUMENT = ("seeds", "epochs")
 
 
@@ -40,12 +40,6 @@ class AblateSettings(Section):
         30, ge=1, description="passes through the training videos, for every variant of an LRCN"
     )
     instrument_passes: int = Field(50, ge=1, description="the same for an instrument")
-    textures_per_simulation: int | None = Field(
-        1,
-        ge=1,
-        description="training videos per simulation and viewpoint, with textures assigned "
-        "evenly, unless the question sets them; null: all textures",
-    )
     train: dict[str, Any] = Field(
         default_factory=dict,
         description="overrides of keys in the section `train`, e.g. width, pixels",

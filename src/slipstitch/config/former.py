@@ -20,6 +20,13 @@ FORMER_KEYS: dict[str, dict[str, Any]] = {
         "rho": 0.95,
         "epsilon": 1e-7,
         "gradient_norm_max": None,
+        "lstm_units": 256,
+        "fc_units": 256,
+        "dropout": 0.2,
+        "view_order": None,
+        "reflective_seeds": [0],
+        "annealed_share": 0.05,
+        "plateau_epochs": 40,
     },
     "calibrate": {
         "strip_slip_strain": 6e-3,
@@ -50,7 +57,13 @@ FORMER_KEYS: dict[str, dict[str, Any]] = {
         "order_weight": 0.1,
         "coverage": 0.9,
         "false_alarms": 0.05,
+        "recurrent_units": 96,
+        "friction_step": 0.01,
+        "blur_px": 0.7,
+        "noise": 0.1,
     },
+    "evaluate": {"viewpoints": "training", "friction_step": 0.1, "batch_size": 8},
+    "ablate": {"textures_per_simulation": 1},
     "captures": {
         "bench_variation": 1.5,
         "friction_sd_rel": 0.03,
@@ -81,6 +94,8 @@ FORMER_KEYS: dict[str, dict[str, Any]] = {
     },
     "convergence": {"frame_rate_hz": 12.0, "seed": 0, "mean_distance_m": 1e-3, "halvings": 2},
 }
+#: Sections of which every key is a former one.
+FORMER_SECTIONS = ("evaluate",)
 
 
 def without_former_keys(section: str, values: Any) -> Any:
@@ -105,7 +120,9 @@ def without_former_keys(section: str, values: Any) -> Any:
     for key, value in values.items():
         name = f"{section}.{key}" if section else key
         if key not in former:
-            kept[key] = without_former_keys(name, value)
+            inner = without_former_keys(name, value)
+            if name not in FORMER_SECTIONS or inner:
+                kept[key] = inner
         elif json.loads(json.dumps(value)) != former[key]:
             raise FormerKeyError(name, former[key], value)
     return kept

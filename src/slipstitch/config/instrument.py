@@ -22,7 +22,7 @@ class InstrumentSettings(RecordedSection):
         None,
         min_length=1,
         description="training viewpoints, all rectified to the calibrated view: the calibrated one "
-        "and members of the family bench_1 ...; null: the first of train.view_order",
+        "and members of the family bench_1 ...; null: the first of render.viewpoints",
     )
     knows_pose: bool = Field(
         False,
@@ -37,13 +37,12 @@ class InstrumentSettings(RecordedSection):
         description="output channels of the convolutions, each of stride 2",
     )
     features: int = Field(128, ge=8, description="number of features per frame")
-    recurrent_units: int = Field(
-        96, ge=8, description="units of the recurrent layer in each direction"
-    )
     friction_max: float = Field(
-        1.5, gt=0, le=10, description="upper end of the grid of mu, which starts at 0"
+        1.5,
+        gt=0,
+        le=10,
+        description="upper end of the grid of mu, which starts at 0, in steps of 0.01",
     )
-    friction_step: float = Field(0.01, ge=0.001, le=0.1, description="step of the grid of mu")
 
     epochs: int = Field(60, ge=1, description="passes through the training videos")
     batch_size: int = Field(4, ge=1, description="batch size, videos")
@@ -67,15 +66,6 @@ class InstrumentSettings(RecordedSection):
         ge=0,
         le=0.3,
         description="augmentation: the image's corners move by up to this share of its side",
-    )
-    blur_px: float = Field(
-        0.7, ge=0, le=2, description="augmentation: largest standard deviation of a blur"
-    )
-    noise: float = Field(
-        0.1,
-        ge=0,
-        le=1,
-        description="augmentation: largest noise, in standard deviations of the video",
     )
     precision: Literal["auto", "float32", "bfloat16"] = Field(
         "auto", description="of the convolutions; auto: bfloat16 where the processor supports it"

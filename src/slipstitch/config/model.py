@@ -14,7 +14,6 @@ from slipstitch.config.dataset import (
     ReleaseSettings,
     SampleSettings,
 )
-from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.config.render import RenderSettings
 from slipstitch.config.section import Section
@@ -41,7 +40,6 @@ class Config(Section):
     sample: SampleSettings = Field(default_factory=SampleSettings)
     train: TrainSettings = Field(default_factory=TrainSettings)
     instrument: InstrumentSettings = Field(default_factory=InstrumentSettings)
-    evaluate: EvaluateSettings = Field(default_factory=EvaluateSettings)
     ablate: AblateSettings = Field(default_factory=AblateSettings)
     criticise: CriticiseSettings = Field(default_factory=CriticiseSettings)
     publish: PublishSettings = Field(default_factory=PublishSettings)
@@ -55,10 +53,6 @@ class Config(Section):
                 f"sample.frames: {self.sample.frames_kept} frames cannot be sampled from "
                 f"{self.simulation.frames} (simulation.frames)"
             )
-        viewpoints = self.render.viewpoints
-        _check_among(
-            "train.view_order", self.train.view_order or (), "render.viewpoints", viewpoints
-        )
         for key, kind, purpose in (
             ("validation_materials", "materials", "train"),
             ("train_only_frictions", "frictions", "test"),

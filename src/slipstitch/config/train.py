@@ -15,6 +15,7 @@ SPLITS = ("by_video", BY_SIMULATION)
 #: The videos of by_video's sides and the same on the floors of the second training set.
 REFLECTIVE = "by_video_reflective"
 TRAINED_ON = (*SPLITS, REFLECTIVE)
+REFLECTIVE_SEEDS = (0,)
 
 
 def split_of(trained_on: str) -> str:
@@ -32,15 +33,14 @@ class TrainSettings(RecordedSection):
         list(SPLITS),
         min_length=1,
         description="the paper's split, whole simulations held out, and the paper's split with the "
-        "videos on render.reflective_floors as well, each shown half as often",
+        "videos on render.reflective_floors as well, each shown half as often, with seed 0 alone",
     )
-    reflective_seeds: Seeds = Field([0], description="those of by_video_reflective")
 
     pixels: int | None = Field(
         None, ge=16, le=1024, description="side of the input image; null: as rendered"
     )
     width: float = Field(
-        0.25, gt=0.0, le=4.0, description="multiplies all layer sizes below; the paper's net is 1"
+        0.25, gt=0.0, le=4.0, description="multiplies the sizes of all layers; the paper's net is 1"
     )
     channels: list[int] = Field(
         [64, 128, 256, 512], min_length=1, description="output channels of the blocks conv1 ..."
@@ -48,19 +48,14 @@ class TrainSettings(RecordedSection):
     convolutions: list[int] = Field(
         [2, 2, 1, 1], min_length=1, description="3 x 3 convolutions in each block (a, b, ...)"
     )
-    lstm_units: int = Field(256, ge=1, description="of each of the two LSTM layers")
-    fc_units: int = Field(256, ge=1, description="of the first of the two fully connected layers")
-    dropout: float = Field(
-        0.2, ge=0.0, lt=1.0, description="between the two fully connected layers"
-    )
     initialisation: Literal["he", "glorot", "pytorch"] = "he"
 
-    view_order: list[str] | None = Field(
-        None,
-        description="viewpoints by name, one more each cycle; the first is the calibrated one; "
-        "null: as in render.viewpoints",
+    epochs_per_cycle: int = Field(
+        6,
+        ge=1,
+        description="epochs with the same set of viewpoints: one more each cycle, in the order of "
+        "render.viewpoints, whose first is the calibrated one",
     )
-    epochs_per_cycle: int = Field(6, ge=1, description="epochs with the same set of viewpoints")
     fine_tuning_epochs: int = Field(4, ge=0, description="last epochs, calibrated viewpoint only")
     flat_epochs: int | None = Field(
         None,
@@ -75,14 +70,7 @@ class TrainSettings(RecordedSection):
         "material network before fine-tuning",
     )
     batch_size: int = Field(2, ge=1, description="videos in a batch")
-    learning_rate: float = Field(1.0, gt=0.0, description="Adadelta's")
-    annealed_share: float = Field(
-        0.05,
-        gt=0.0,
-        le=1.0,
-        description="share of the learning rate to which it falls, as a cosine, within the last "
-        "cycle, and at which fine-tuning goes on; 1: constant",
-    )
+    learning_rate: float = Field(1.0, gt=0.0, description="Adadelta's, until the last cycle")
     precision: Literal["auto", "float32", "bfloat16"] = Field(
         "auto", description="of the convolutions; auto: bfloat16 where the processor computes it"
     )
@@ -92,9 +80,6 @@ class TrainSettings(RecordedSection):
         lt=1.0,
         description="a run fails whose training loss stays above (1 - margin) times chance; "
         "null: never, for runs that are too short to learn",
-    )
-    plateau_epochs: int = Field(
-        40, ge=1, description="epochs after which a run that is still at chance is given up"
     )
     checkpoint_interval_s: float = Field(
         60.0, ge=0.0, description="least time between checkpoints; 0: one every step"
@@ -109,6 +94,4 @@ class TrainSettings(RecordedSection):
             )
         if min(self.channels) < 1 or min(self.convolutions) < 1:
             raise ValueError("channels and convolutions must be positive")
-        if self.view_order is not None and len(set(self.view_order)) != len(self.view_order):
-            raise ValueError("view_order names a viewpoint twice")
         return self

@@ -214,11 +214,10 @@ def estimate_ablate(config: Config) -> StageEstimate:
     train = config.train.model_copy(update=ablate.train)
     instrument = config.instrument.model_copy(update=ablate.instrument)
     changed = config.model_copy(update={"train": train, "instrument": instrument})
-    each = ablate.textures_per_simulation or len(config.render.textures)
     held = sample.validation_fraction + sample.test_fraction
     grid = config.grid
     runs = len(grid.materials) * len(grid.frictions) * grid.replicates * (1.0 - held)
-    frames = runs * each * sample.frames
+    frames = runs * sample.frames
     lrcn_s = frames * ablate.passes * _frame_s(changed)
     instrument_s = frames * ablate.instrument_passes * _instrument_frame_s(changed)
     cpu_s = 0.0

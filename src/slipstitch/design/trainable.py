@@ -10,7 +10,13 @@ from typing import TYPE_CHECKING
 
 from slipstitch.base.errors import BadInput
 from slipstitch.config.catalogue import VIEWPOINTS
-from slipstitch.config.train import BY_SIMULATION, NETWORKS, REFLECTIVE, TrainSettings
+from slipstitch.config.train import (
+    BY_SIMULATION,
+    NETWORKS,
+    REFLECTIVE,
+    REFLECTIVE_SEEDS,
+    TrainSettings,
+)
 
 if TYPE_CHECKING:
     from slipstitch.config.model import Config
@@ -30,7 +36,7 @@ def trainings(train: TrainSettings, trained_on: str) -> list[tuple[str, int]]:
     """
     if trained_on == REFLECTIVE:
         networks = ("material_baseline", "friction_conditional")
-        return [(network, seed) for network in networks for seed in train.reflective_seeds]
+        return [(network, seed) for network in networks for seed in REFLECTIVE_SEEDS]
     return [(network, seed) for network in NETWORKS for seed in train.seeds]
 
 
@@ -40,7 +46,7 @@ def view_order(config: Config) -> list[str]:
     The first is the calibrated view, which networks are fine-tuned for.
     """
     own = [name for name in config.render.viewpoints if not VIEWPOINTS[name].drawn]
-    return list(config.train.view_order or own or config.render.viewpoints)
+    return own or list(config.render.viewpoints)
 
 
 def instrument_views(config: Config) -> list[str]:

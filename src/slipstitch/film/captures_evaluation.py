@@ -22,7 +22,6 @@ from slipstitch.base.provenance import (
     write_parquet,
     write_text,
 )
-from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.dataset.images import read_frames
 from slipstitch.dataset.manifest import MANIFEST
 from slipstitch.dataset.videos import read_videos
@@ -35,9 +34,9 @@ from slipstitch.film.captures_scores import (
 )
 from slipstitch.film.ingest_videos import CAPTURES, read_known
 from slipstitch.learning.evaluation import paper
-from slipstitch.learning.evaluation.cumulative import draw_cumulative
 from slipstitch.learning.evaluation.metrics import CAPTURES as OF_CAPTURES
 from slipstitch.learning.evaluation.metrics import metrics_of
+from slipstitch.learning.evaluation.paper import draw_cumulative
 from slipstitch.learning.evaluation.scores import (
     CALIBRATED,
     MATERIAL,
@@ -58,9 +57,7 @@ _DASHES = {"all": "-", "matte": "--", "reflective": ":"}
 _FRAMES_SHOWN = 10
 
 
-def predict_captures(
-    settings: EvaluateSettings, dataset: str | os.PathLike, trained: Trained
-) -> list[dict[str, Any]]:
+def predict_captures(dataset: str | os.PathLike, trained: Trained) -> list[dict[str, Any]]:
     """Return the predictions of all trained models for all captures, a row each.
 
     Parameters
@@ -94,11 +91,11 @@ def predict_captures(
                 f"{dataset}: videos of {stored} frames, but the networks in {trained.networks} "
                 f"were trained with {model.card['frames']}: ingest with their configuration"
             )
-        predictions = model.predict(videos, settings.batch_size)
+        predictions = model.predict(videos)
         material = models.get((split, MATERIAL + CALIBRATED * network.endswith(CALIBRATED), seed))
         seen = predictions
         if isinstance(model, LrcnModel) and material is not None:
-            seen = material.predict(videos, settings.batch_size)
+            seen = material.predict(videos)
         for capture, prediction, of_fabric in zip(known, predictions, seen, strict=True):
             low, high = prediction.interval_90 or (None, None)
             fabrics = of_fabric.fabrics
@@ -123,7 +120,6 @@ def predict_captures(
 
 
 def write_captures_evaluation(
-    settings: EvaluateSettings,
     dataset: str | os.PathLike,
     trained: Trained,
     out: str | os.PathLike,
@@ -134,18 +130,15 @@ def write_captures_evaluation(
     """Evaluate on captures; write scores (JSON), predictions (Parquet) and the page."""
     started = start_clock()
     set_up_torch(threads)
-    rows = predict_captures(settings, dataset, trained)
-    metrics = capture_metrics(rows, settings.friction_step)
+    rows = predict_captures(dataset, trained)
+    metrics = capture_metrics(rows)
     weights = [path for paths in trained.weights().values() for path in paths]
     inputs = [Path(dataset) / name for name in (MANIFEST, CAPTURES)]
-    keys = {"evaluate": settings}
-    record = provenance_record("evaluate", inputs=inputs + weights, config=keys, started=started)
+    record = provenance_record("evaluate", inputs=inputs + weights, started=started)
     write_json(out, metrics, record)
     write_parquet(pa.Table.from_pylist(rows), predictions_out, {}, record)
     if page_out is not None:
-        page = captures_page(
-            Path(dataset), read_known(dataset), rows, metrics, settings.friction_step
-        )
+        page = captures_page(Path(dataset), read_known(dataset), rows, metrics)
         write_text(page_out, page, record)
     return metrics
 
@@ -155,12 +148,11 @@ def captures_page(
     known: Sequence[Mapping[str, Any]],
     found: Sequence[Mapping[str, Any]],
     metrics: Mapping[str, Mapping[str, Mapping[str, Any]]],
-    step: float,
 ) -> str:
     """Return the page as HTML; it needs no other file.
 
     From the dataset of the captures, for their pictures, the captures, the predictions of
-    `predict_captures`, their metrics, and the step of the grid of friction.
+    `predict_captures`, and their metrics.
     """
     columns = metrics_of(OF_CAPTURES)
     return render(
@@ -174,12 +166,12 @@ def captures_page(
             for subset in paper.CAPTURES
         },
         seeds_in_words=seeds_in_words,
-        plot=svg_uri(_cumulative(found, step)),
+        plot=svg_uri(_cumulative(found)),
         models=[
             {
                 "label": f"{label(row)}, seed {row['seed']}".replace("_", " "),
                 "rows": pair_medians(
-                    [one for one in found if _of_training(one) == _of_training(row)], step
+                    [one for one in found if _of_training(one) == _of_training(row)]
                 ),
             }
             for row in _first_by(found, label)
@@ -204,7 +196,7 @@ def _of_training(row: Mapping[str, Any]) -> tuple[str, int | None]:
 
 
 @styled
-def _cumulative(found: Sequence[Mapping[str, Any]], step: float) -> Figure:
+def _cumulative(found: Sequence[Mapping[str, Any]]) -> Figure:
     """Share of the pairs whose median's error is at most so large, as in the paper's Fig. 6."""
     figure = new_figure(7.6, 3.6)
     axes = figure.subplots()
@@ -215,7 +207,7 @@ def _cumulative(found: Sequence[Mapping[str, Any]], step: float) -> Figure:
             of_pairs = [
                 pair["error"]
                 for of_seed in grouped(of_training, "seed").values()
-                for pair in pair_medians(of_seed, step)
+                for pair in pair_medians(of_seed)
             ]
             off.setdefault(label(of_training[0]), {})[name] = np.array(of_pairs)
     largest = max(0.3, *(errors.max() for of_label in off.values() for errors in of_label.values()))

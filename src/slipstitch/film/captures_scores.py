@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from slipstitch.learning.evaluation.metrics import (
+    STEP,
     distance,
     entry,
     mean_over_seeds,
@@ -47,18 +48,18 @@ def label(row: Row) -> str:
     return f"{row['model']}, trained {row['trained_on']}"
 
 
-def pair_medians(rows: Sequence[Row], step: float) -> list[dict[str, Any]]:
+def pair_medians(rows: Sequence[Row]) -> list[dict[str, Any]]:
     """Return a row per pair: reference, predictions of the repeats, their median and its error.
 
-    Of one model's and seed's predictions; `step` is the grid's of mu.
+    Of one model's and seed's predictions.
     """
     result = []
     for pair, repeats in sorted(grouped(rows, "pair").items()):
         first = repeats[0]
         friction = np.array([row["friction"] for row in repeats])
         median = float(np.median(friction))
-        # The class of an instrument's continuous prediction is the nearest multiple of the step.
-        classes = friction if first["low"] is None else np.round(friction / step)
+        # The class of an instrument's continuous prediction is the nearest multiple of `STEP`.
+        classes = friction if first["low"] is None else np.round(friction / STEP)
         names = ("material", "substrate", "reflective", "mu_ref", "mu_ref_error")
         result.append(
             {
@@ -73,13 +74,13 @@ def pair_medians(rows: Sequence[Row], step: float) -> list[dict[str, Any]]:
     return result
 
 
-def capture_scores(rows: Sequence[Row], step: float) -> dict[str, float]:
+def capture_scores(rows: Sequence[Row]) -> dict[str, float]:
     """Return the scores of one model and seed on some captures.
 
     Those of `metrics.METRICS` that the model gives, and ``pairs``, their number. Fabrics count
     where they are ones that the model knows.
     """
-    pairs = pair_medians(rows, step)
+    pairs = pair_medians(rows)
     answers = dataclasses.replace(
         answers_of(
             [
@@ -91,8 +92,7 @@ def capture_scores(rows: Sequence[Row], step: float) -> dict[str, float]:
                     "simulation": row["video"],
                 }
                 for row in rows
-            ],
-            step,
+            ]
         ),
         pair_errors=np.array([pair["error"] for pair in pairs]),
         pair_agrees=np.array([pair["equal"] for pair in pairs]),
@@ -105,7 +105,7 @@ def capture_scores(rows: Sequence[Row], step: float) -> dict[str, float]:
     return scores
 
 
-def capture_metrics(rows: Sequence[Row], step: float) -> dict[str, Any]:
+def capture_metrics(rows: Sequence[Row]) -> dict[str, Any]:
     """Return the content of captures/metrics.json from the rows of predictions.parquet.
 
     ``{subset: {"model, trained on split": {field: number}}}``: means over seeds; ``spread`` holds
@@ -117,7 +117,7 @@ def capture_metrics(rows: Sequence[Row], step: float) -> dict[str, Any]:
         metrics[name] = {}
         for of_model in grouped(part, "model", "trained_on").values():
             of_seeds = grouped(of_model, "seed")
-            scores = [capture_scores(of_seed, step) for of_seed in of_seeds.values()]
+            scores = [capture_scores(of_seed) for of_seed in of_seeds.values()]
             mean = mean_over_seeds(scores)
             seeds = sorted(seed for seed in of_seeds if seed is not None)
             metrics[name][label(of_model[0])] = {

@@ -36,6 +36,7 @@ from slipstitch.learning.trainer import Learner, Run, Trainer
 
 # Adadelta's decay and the constant below its root: the paper's, and Keras' default.
 RHO, EPSILON = 0.95, 1e-7
+PLATEAU_EPOCHS = 40  # after which a training that is still at chance is given up
 
 
 @dataclass
@@ -71,7 +72,7 @@ class LrcnLearner(Learner):
         )
         self.chance_loss = chance_loss(self.labels[self.training])
         self.plateau_window = settings.epochs_per_cycle
-        self.plateau_epochs = settings.plateau_epochs
+        self.plateau_epochs = PLATEAU_EPOCHS
         self.diverged_hint = f"a smaller train.learning_rate than {settings.learning_rate:g}"
         self.plateau_hint = (
             f"initialisation {settings.initialisation!r}, train.epochs_per_cycle "
@@ -167,18 +168,12 @@ def train_network(
         If dataset, material model or arguments do not fit.
     PlateauError
         If the training loss is not below chance by `settings.plateau_margin` in the end, or after
-        `settings.plateau_epochs`.
+        `PLATEAU_EPOCHS`.
     DivergedError
         If the loss is not finite.
     """
     started = start_clock()
-    if network_name not in NETWORKS:
-        raise BadInput(f"unknown network {network_name!r}; known: {', '.join(NETWORKS)}")
-    conditional = network_name == "friction_conditional"
-    if conditional != (material_model is not None):
-        raise BadInput(
-            f"{network_name} {'requires' if conditional else 'does not take'} --material-model"
-        )
+    _check_names(network_name, material_model)
     set_up_torch(run.threads)
     videos, training = run.videos(settings.pixels, run.frames)
     target = network_name.split("_")[0]
@@ -189,10 +184,8 @@ def train_network(
     condition, condition_classes, condition_digest = _conditioned_on(
         material_model, run, videos, settings
     )
-
     torch.manual_seed(run.seed)
-    pixels = videos.pixels.shape[2]
-    network = LRCN(settings, len(classes), pixels, len(condition_classes))
+    network = LRCN(settings, len(classes), videos.pixels.shape[2], len(condition_classes))
     mean, deviation = _colour_statistics(videos.pixels[training])
     network.mean.copy_(torch.from_numpy(mean))
     network.deviation.copy_(torch.from_numpy(deviation))
@@ -213,26 +206,37 @@ def train_network(
         "true_materials": material_model == TRUE,
     }
     trainer = Trainer(learner, run, videos, started, view_order=list(view_order), **named)
+    known = {"target": target, "classes": classes, "condition_classes": condition_classes}
+    told = [] if condition_digest is None else _weights_of(material_model, settings)
+    return _train_and_write(trainer, view_order, named | known, told)
+
+
+def _train_and_write(
+    trainer: Trainer, view_order: Sequence[str], known: dict[str, Any], told: list[Path]
+) -> dict[str, Any]:
+    """Train; write the network, that before fine-tuning if it is kept, and what told it materials.
+
+    Returns the card.
+    """
+    learner, run = trainer.learner, trainer.run
 
     def save(folder: Path) -> dict[str, Any]:
-        facts = {
-            **named,
-            "target": target,
+        _, frames, pixels = trainer.videos.pixels.shape[:3]
+        card = {
+            **known,
             "split": run.split,
             "seed": run.seed,
-            "classes": classes,
-            "condition_classes": condition_classes,
             "pixels": pixels,
-            "frames": videos.pixels.shape[1],
+            "frames": frames,
             "viewpoints": list(view_order),
             **trainer.facts(),
             "use": "predicts the class in drop-and-drag videos rendered like this dataset; its "
             "performance on other videos, real ones included, is unknown",
         }
-        return save_model(network, facts, folder)
+        return save_model(learner.network, card, folder)
 
     files = [WEIGHTS, CARD]
-    if settings.keep_all_views and learner.phases[-1].name == FINE_TUNING:
+    if learner.settings.keep_all_views and learner.phases[-1].name == FINE_TUNING:
         files += [f"{ALL_VIEWS}/{name}" for name in files]
         before = learner.phases[-2]
         trainer.at_end_of = lambda phase: (
@@ -240,9 +244,19 @@ def train_network(
         )
     trainer.train()
     card = save(Path(run.out))
-    told = [] if condition_digest is None else _weights_of(material_model, settings)
     trainer.write_record(files, told)
     return card
+
+
+def _check_names(network_name: str, material_model: str | os.PathLike | None) -> None:
+    """Refuse an unknown network, and one with or without a material network against its kind."""
+    if network_name not in NETWORKS:
+        raise BadInput(f"unknown network {network_name!r}; known: {', '.join(NETWORKS)}")
+    conditional = network_name == "friction_conditional"
+    if conditional != (material_model is not None):
+        raise BadInput(
+            f"{network_name} {'requires' if conditional else 'does not take'} --material-model"
+        )
 
 
 def _weights_of(material_model: str | os.PathLike, settings: TrainSettings) -> list[Path]:

@@ -8,6 +8,8 @@ from typing import Any
 from slipstitch.config.train import TrainSettings
 
 FINE_TUNING, UNTIL_FLAT = "fine-tuning", "until flat"
+# Share of the learning rate to which it falls in the last cycle, and at which fine-tuning goes on.
+ANNEALED_SHARE = 0.05
 CYCLES_MAX = 8  # of epochs until the validation loss is flat
 
 
@@ -112,5 +114,4 @@ def learning_rate(
         height = 0.5 * (1.0 + math.cos(math.pi * done))
     else:
         height = 1.0
-    lowest = settings.annealed_share
-    return settings.learning_rate * (lowest + (1.0 - lowest) * height)
+    return settings.learning_rate * (ANNEALED_SHARE + (1.0 - ANNEALED_SHARE) * height)

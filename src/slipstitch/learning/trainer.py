@@ -11,7 +11,7 @@ import sys
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import compress
+from itertools import compress, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -26,10 +26,10 @@ from slipstitch.config.train import TRAINED_ON, split_of
 from slipstitch.dataset.manifest import MANIFEST
 from slipstitch.dataset.videos import Videos, read_videos, takes_part
 from slipstitch.learning.checkpoint import CHECKPOINT, Progress, load_checkpoint, save_checkpoint
-from slipstitch.learning.curves import curve
 from slipstitch.learning.schedule import Phase, place
 
 HISTORY = "history.csv"
+_BARS = "▁▂▃▄▅▆▇█"
 
 
 class PlateauError(SlipstitchError):
@@ -395,3 +395,25 @@ class Trainer:
 def simulations(videos: Videos, chosen: np.ndarray) -> set[str]:
     """Return the simulations of the videos where `chosen` (bool, shape (n,)) is true."""
     return {row["simulation"] for row in compress(videos.rows, chosen)}
+
+
+def curve(values: Sequence[float], width: int = 16) -> str:
+    """Values as a row of bars from the lowest to the highest, averaged to at most `width`.
+
+    Values that are not finite are shown as a gap; equal values as the lowest bar.
+    """
+    if not values:
+        return ""
+    count = min(width, len(values))
+    edges = [place * len(values) // count for place in range(count + 1)]
+    means = [sum(values[low:high]) / (high - low) for low, high in pairwise(edges)]
+    finite = [value for value in means if math.isfinite(value)]
+    if not finite:
+        return " " * count
+    low, spread = min(finite), max(finite) - min(finite)
+    return "".join(
+        _BARS[int((len(_BARS) - 1) * (value - low) / spread + 0.5) if spread else 0]
+        if math.isfinite(value)
+        else " "
+        for value in means
+    )

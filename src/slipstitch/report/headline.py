@@ -12,7 +12,7 @@ from slipstitch.config import Config
 from slipstitch.design.grid import simulations
 from slipstitch.learning.ablation.summary import LEVEL, interval
 from slipstitch.learning.evaluation import probes
-from slipstitch.learning.evaluation.metrics import steps_off
+from slipstitch.learning.evaluation.metrics import STEP, steps_off
 from slipstitch.learning.evaluation.scores import network_of
 from slipstitch.report.learning_pictures import predicted_against_true
 from slipstitch.report.scores import Scores, model_title
@@ -55,8 +55,8 @@ def headline(config: Config, scores: Scores, predictions) -> dict[str, Any] | No
                 "model": model_title(best),
                 "unseen": HELD_OUT[split],
                 "scores": rows[best],
-                "share_interval": share_interval(own, config.evaluate.friction_step),
-                "step": config.evaluate.friction_step,
+                "share_interval": share_interval(own),
+                "step": STEP,
                 "probe": rows[probe] | {"title": model_title(probe)} if probe else None,
                 "constant_error": detail.get("chance", {}).get("mean_absolute_error"),
                 "simulations": detail.get("simulations"),
@@ -87,14 +87,14 @@ def _refuse_other_grid(config: Config, rows: Iterable[Mapping[str, Any]]) -> Non
             )
 
 
-def share_interval(rows: Sequence[Mapping[str, Any]], step: float) -> tuple[float, float] | None:
+def share_interval(rows: Sequence[Mapping[str, Any]]) -> tuple[float, float] | None:
     """90 % interval of the share below half a step, over simulations and seeds; None of one.
 
     If all are right, or none, it is Clopper and Pearson's (1934), each simulation one case.
     """
     right: dict[tuple[int, str], list[bool]] = defaultdict(list)
     for row in rows:
-        off = steps_off(row["predicted_value"], row["true_value"], step)
+        off = steps_off(row["predicted_value"], row["true_value"])
         right[row["seed"], row["simulation"]].append(off == 0)
     seeds = sorted({seed for seed, _ in right})
     names = sorted({name for _, name in right})

@@ -21,7 +21,7 @@ from slipstitch.base.page.palette import (
     THEORY,
 )
 from slipstitch.base.page.wording import evenly
-from slipstitch.learning.evaluation.cumulative import draw_cumulative
+from slipstitch.learning.evaluation.paper import draw_cumulative
 from slipstitch.report.results import History
 from slipstitch.report.scores import NETWORK_TITLES, SPLIT_NAMES
 

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from slipstitch.base.errors import BadInput
-from slipstitch.config.ablate import AblateSettings
+from slipstitch.config.ablate import VARIANTS, AblateSettings
 from slipstitch.dataset.videos import takes_part
 
 Row = dict[str, Any]
@@ -57,7 +57,6 @@ class Candidates:
 
     training: list[Row]
     held_out: list[Row]
-    views: list[str]
 
     @property
     def textures(self) -> list[str]:
@@ -83,32 +82,23 @@ class Candidates:
         """Return the held-out videos that count."""
         return frozenset(row["video"] for row in self.held_out if counts(row))
 
-    def dealt(self, simulations: list[Row], settings: AblateSettings, generator) -> dict:
-        """Return the textures of simulations, each equally often among those of a coefficient.
+    def dealt(self, simulations: list[Row], generator: np.random.Generator) -> dict[str, str]:
+        """Return a texture for each simulation, all equally often among those of a coefficient.
 
         So no texture gives a coefficient away.
         """
-        textures = self.textures
-        count = min(settings.textures_per_simulation or len(textures), len(textures))
         by_friction: dict[str, set[str]] = defaultdict(set)
         for row in simulations:
             by_friction[row["friction_id"]].add(row["simulation"])
-        result = {}
+        textures, result = self.textures, {}
         for _, names in sorted(by_friction.items()):
             first = int(generator.integers(len(textures)))
-            for place, name in enumerate(generator.permutation(sorted(names))):
-                start = first + place * count
-                result[str(name)] = [textures[(start + k) % len(textures)] for k in range(count)]
+            for place, name in enumerate(generator.permutation(sorted(names)), first):
+                result[str(name)] = textures[place % len(textures)]
         return result
 
-    def in_textures(self, simulations: list[Row], dealt: dict[str, list[str]]) -> Videos:
-        """Return the videos of simulations in the textures that they were dealt."""
-        return self.ids(
-            {(row["simulation"], t) for row in simulations for t in dealt[row["simulation"]]}
-        )
 
-
-def _diversity(videos: Candidates, settings: AblateSettings, generator) -> Selection:
+def _diversity(videos: Candidates, generator: np.random.Generator) -> Selection:
     """Replicates against textures at an equal number of videos.
 
     Both variants see every texture equally often: the replicates' textures are dealt among them.
@@ -140,7 +130,7 @@ def _diversity(videos: Candidates, settings: AblateSettings, generator) -> Selec
     )
 
 
-def _floors(videos: Candidates, settings: AblateSettings, generator) -> Selection:
+def _floors(videos: Candidates, generator: np.random.Generator) -> Selection:
     """Matte floors only, against half of them exchanged for mirroring ones.
 
     Each exchanged simulation makes room for one with the same friction coefficient, and the same
@@ -173,16 +163,20 @@ def _floors(videos: Candidates, settings: AblateSettings, generator) -> Selectio
             kept.remove((same or kept)[0])
             mixed.append(new)
         mixed += kept
-    dealt = videos.dealt(only + mixed, settings, generator)
-
-    def tests(mirroring: bool) -> Videos:
-        return videos.tests(
-            lambda row: row["friction_id"] in frictions and _mirrors(row) == mirroring
-        )
-
+    dealt = videos.dealt(only + mixed, generator)
     return Selection(
-        {"matte": videos.in_textures(only, dealt), "mixed": videos.in_textures(mixed, dealt)},
-        {"matte floors": tests(False), "mirroring floors": tests(True)},
+        {
+            name: videos.ids({(row["simulation"], dealt[row["simulation"]]) for row in rows})
+            for name, rows in (("matte", only), ("mixed", mixed))
+        },
+        {
+            f"{name} floors": videos.tests(
+                lambda row, mirroring=mirroring: (
+                    row["friction_id"] in frictions and _mirrors(row) == mirroring
+                )
+            )
+            for name, mirroring in (("matte", False), ("mirroring", True))
+        },
         {"exchanged": sum(map(_mirrors, mixed)), "all": len(mixed)},
     )
 
@@ -202,17 +196,14 @@ class Question:
         Name -> variant; the others are compared with the first.
     select : callable, optional
         Which videos train each variant; by default all training simulations train every one, each
-        in so many textures as the settings say.
-    networks : tuple of str
-        Those that the question can be asked of.
+        in one texture.
     needs : int
         Viewpoints: that many at least, and all of them; 1: the calibrated one alone.
     """
 
     asks: str
     variants: dict[str, Variant]
-    select: Callable[[Candidates, AblateSettings, np.random.Generator], Selection] | None = None
-    networks: tuple[str, ...] = ("lrcn",)
+    select: Callable[[Candidates, np.random.Generator], Selection] | None = None
     needs: int = 1
 
 
@@ -224,7 +215,6 @@ QUESTIONS = {
             "textures": Variant("one replicate in {count} textures"),
         },
         _diversity,
-        ("lrcn", "instrument"),
     ),
     "conditioning": Question(
         "Does material input help the friction network?",
@@ -257,7 +247,6 @@ QUESTIONS = {
             "mixed": Variant("training with {exchanged} reflective floors out of {all}"),
         },
         _floors,
-        ("lrcn", "instrument"),
     ),
 }
 
@@ -285,14 +274,13 @@ def selected(
         If the dataset cannot answer the question: what is needed.
     """
     question = QUESTIONS[name]
-    if not set(question.networks) & set(settings.networks):
+    if not set(VARIANTS[name]) & set(settings.networks):
         raise BadInput(f"{name}: requires the network lrcn, which is not in ablate.networks")
     views = list(viewpoints) if question.needs > 1 else list(viewpoints[:1])
     usable = [row for row in rows if takes_part(row) and row["viewpoint"] in views]
     videos = Candidates(
         [row for row in usable if row["split_by_simulation"] == "train"],
         [row for row in usable if row["split_by_simulation"] != "train"],
-        views,
     )
     for part, kind in ((videos.training, "training"), (videos.held_out, "held-out")):
         if not part:
@@ -304,9 +292,9 @@ def selected(
         raise BadInput(f"{name}: 2 training viewpoints are required, not {len(views)}")
     generator = np.random.default_rng([seed, 5])
     if question.select is not None:
-        return views, question.select(videos, settings, generator)
+        return views, question.select(videos, generator)
     simulations = [row for of_pair in videos.simulations().values() for row in of_pair]
-    chosen = videos.in_textures(simulations, videos.dealt(simulations, settings, generator))
+    chosen = videos.ids({*videos.dealt(simulations, generator).items()})
     tests = {"held-out": videos.tests()}
     if len(views) > 1:
         calibrated = videos.tests(lambda row: row["viewpoint"] == views[0])

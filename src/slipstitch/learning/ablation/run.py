@@ -111,29 +111,29 @@ def run_case(
         if config.ablate.questions is not None:
             raise
         return result | {"left_out": str(reason), "predictions": []}
-    variant, training = (
-        QUESTIONS[case.question].variants[case.variant],
-        videos.training[case.variant],
-    )
-    run = Run(
-        dataset,
-        SPLIT,
-        case.seed,
-        folder,
-        config.sample.frames,
-        lambda row: row["video"] in training,
-        threads,
-    )
+    variant = QUESTIONS[case.question].variants[case.variant]
+    training = videos.training[case.variant]
+    planned = _planned(config, variant, views)
+    passes = sum(phase.epochs * len(phase.viewpoints) for phase in planned) / len(views)
     result |= {
         "phrase": variant.phrase.format(**videos.numbers),
         "training_videos": len(training),
         "training_simulations": len({name.rsplit("_", 2)[0] for name in training}),
-        "passes": passes(config, case, views),
+        "passes": config.ablate.instrument_passes if case.network == "instrument" else passes,
         "failure": None,
         "stayed_at_chance": False,
         "material_stayed_at_chance": False,
         "predictions": [],
     }
+    run = Run(
+        dataset,
+        SPLIT,
+        case.seed,
+        folder,
+        frames=config.sample.frames,
+        uses=lambda row: row["video"] in training,
+        threads=threads,
+    )
     margin = config.train.plateau_margin
     train: Callable[..., LrcnModel | Instrument] = _lrcn
     if case.network == "instrument":
@@ -161,14 +161,6 @@ def run_case(
         if row["video"] in ids
     ]
     return result
-
-
-def passes(config: Config, case: Case, views: list[str]) -> float:
-    """Return how often a training shows its videos."""
-    if case.network == "instrument":
-        return instrument_settings(config).epochs
-    planned = _planned(config, QUESTIONS[case.question].variants[case.variant], views)
-    return sum(phase.epochs * len(phase.viewpoints) for phase in planned) / len(views)
 
 
 def _planned(config: Config, variant: Variant, views: list[str]) -> list[Phase]:

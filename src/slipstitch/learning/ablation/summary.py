@@ -1,4 +1,4 @@
-"""From the results of all seeds to table rows, differences with intervals, and conclusions.
+"""From the results of all seeds to table rows, differences with intervals, conclusions, a page.
 
 The videos of one simulation are right or wrong together, and so are those that one training
 answers: a difference between two variants is averaged over the videos of a simulation, and its
@@ -7,14 +7,18 @@ interval counts seeds and simulations, not videos.
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 from scipy import stats
 
 from slipstitch.base.errors import BadInput
+from slipstitch.base.page.figures import new_figure, styled, svg_uri
+from slipstitch.base.page.palette import BAD, FAINT, GOOD, PALE, SOFT
+from slipstitch.base.page.templates import render
 from slipstitch.base.page.wording import counted
 from slipstitch.base.provenance import (
     provenance_record,
@@ -24,17 +28,21 @@ from slipstitch.base.provenance import (
     write_text,
 )
 from slipstitch.config import Config
-from slipstitch.learning.ablation.ablations_page import ablations_page
 from slipstitch.learning.ablation.questions import QUESTIONS
 from slipstitch.learning.evaluation.metrics import (
+    TEST_SETS,
     constant_error,
     friction_scores,
     mean_over_seeds,
+    metrics_of,
     spread_over_seeds,
 )
 from slipstitch.learning.evaluation.scores import grouped
 
 LEVEL = 0.9
+_TEMPLATE = Path(__file__).with_name("ablations.html.j2")
+_COLOURS = {"better": GOOD, "worse": BAD, "no significant difference": SOFT, "nothing learnt": PALE}
+
 Row = dict[str, Any]
 
 
@@ -84,15 +92,13 @@ def interval(differences: np.ndarray) -> tuple[float, float, float]:
     return mean, mean - half, mean + half
 
 
-def summarise(cases: Sequence[Row], step: float) -> dict[str, Any]:
+def summarise(cases: Sequence[Row]) -> dict[str, Any]:
     """Return all questions' rows, comparisons and conclusions.
 
     Parameters
     ----------
     cases : sequence of dict
         What `slipstitch.learning.ablation.run.run_case` returned, for all variants and seeds.
-    step : float
-        Grid step of mu for the shares of small errors.
 
     Returns
     -------
@@ -116,8 +122,8 @@ def summarise(cases: Sequence[Row], step: float) -> dict[str, Any]:
             continue
         for part in grouped(_by_test_set(of_question), "network", "tested_on").values():
             first, *others = grouped(part, "variant").values()
-            reference = _row(first, step)
-            rows = [_row(variant, step) for variant in others]
+            reference = _row(first)
+            rows = [_row(variant) for variant in others]
             questions[name]["rows"] += [reference, *rows]
             questions[name]["comparisons"] += [
                 _comparison(first, variant, reference, row)
@@ -145,13 +151,13 @@ def _by_test_set(cases: Sequence[Row]) -> list[Row]:
     ]
 
 
-def _row(of_seeds: list[Row], step: float) -> Row:
+def _row(of_seeds: list[Row]) -> Row:
     """A row of the table: a variant on a test set."""
     first = of_seeds[0]
     trained = [case["predictions"] for case in of_seeds if case["predictions"]]
     true = [np.array([one["true"] for one in part]) for part in trained]
     scores = [
-        friction_scores(np.array([one["predicted"] for one in part]), of_part, step)
+        friction_scores(np.array([one["predicted"] for one in part]), of_part)
         for part, of_part in zip(trained, true, strict=True)
     ]
     names = (
@@ -267,6 +273,60 @@ def sentence(found: Row, reference: Row, row: Row) -> str:
     return start + "; ".join([conclusion, *notes]) + "."
 
 
+def ablations_page(summary: Mapping[str, Any]) -> str:
+    """The page as HTML; it needs no other file.
+
+    Parameters
+    ----------
+    summary : mapping
+        What `summarise` returned.
+    """
+    questions = summary["questions"].items()
+    answered = {name: question for name, question in questions if not question["left_out"]}
+    return render(
+        _TEMPLATE,
+        level=f"{100 * summary['level']:.0f} %",
+        seeds=summary["seeds"],
+        comparisons=summary["comparisons"],
+        by_chance=(1 - summary["level"]) * summary["comparisons"],
+        questions=answered,
+        columns=metrics_of(TEST_SETS, "friction"),
+        pictures={
+            name: svg_uri(_picture(question["comparisons"])) for name, question in answered.items()
+        },
+        left_out=[question["left_out"] for _, question in questions if question["left_out"]],
+    )
+
+
+@styled
+def _picture(comparisons: list[Mapping[str, Any]]) -> Figure | None:
+    """Differences of the mean error as dots with their intervals; None without any."""
+    shown = [comparison for comparison in comparisons if comparison["low"] is not None]
+    if not shown:
+        return None
+    names = [
+        f"{comparison['variant']} − {comparison['reference']}\n"
+        f"{comparison['network']}, {comparison['tested_on']}"
+        for comparison in shown
+    ]
+    figure = new_figure(7.6, 0.8 + 0.5 * len(shown))
+    axes = figure.subplots()
+    axes.axvline(0, color=FAINT, lw=0.9)
+    for place, comparison in enumerate(shown):
+        colour = _COLOURS[comparison["verdict"]]
+        axes.plot([comparison["low"], comparison["high"]], [place, place], color=colour, lw=2)
+        axes.plot(comparison["difference"], place, "o", color=colour, ms=6)
+    axes.set_yticks(range(len(shown)), names)
+    axes.set_ylim(len(shown) - 0.5, -0.5)
+    ends = [abs(comparison[end]) for comparison in shown for end in ("low", "high")]
+    reach = max(1.1 * max(ends), 1e-3)
+    axes.set_xlim(-reach, reach)
+    axes.set_xlabel("difference of the mean error of µ;  negative: better")
+    axes.spines["left"].set_visible(False)
+    axes.tick_params(axis="y", length=0)
+    return figure
+
+
 def write_summary(
     config: Config,
     folder: str | os.PathLike,
@@ -282,11 +342,11 @@ def write_summary(
     """
     started = start_clock()
     paths = [Path(folder) / path for path in config.ablate.results]
-    summary = summarise([_read(path) for path in paths], config.evaluate.friction_step)
+    summary = summarise([_read(path) for path in paths])
     record = provenance_record(
         "ablate",
         inputs=paths,
-        config=config.model_dump(mode="json", include={"ablate", "evaluate"}),
+        config=config.model_dump(mode="json", include={"ablate"}),
         started=started,
     )
     write_json(out, summary, record)

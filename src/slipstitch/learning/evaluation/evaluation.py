@@ -19,7 +19,6 @@ from slipstitch.base.provenance import (
     write_json,
     write_parquet,
 )
-from slipstitch.config.evaluate import EvaluateSettings
 from slipstitch.config.train import TRAINED_ON
 from slipstitch.dataset.manifest import MANIFEST, read_manifest
 from slipstitch.dataset.videos import Videos, read_videos, takes_part
@@ -38,9 +37,8 @@ from slipstitch.learning.evaluation.scores import (
     predicts_material_alone,
     read_table,
 )
-from slipstitch.learning.evaluation.test_sets import evaluation_sets
+from slipstitch.learning.evaluation.test_sets import evaluation_sets, wrong_inputs
 from slipstitch.learning.evaluation.trained import Key, Trained
-from slipstitch.learning.evaluation.wrong_inputs import wrong_inputs
 from slipstitch.learning.instrument.measuring import Instrument, load_instrument
 from slipstitch.learning.lrcn_model import LrcnModel
 from slipstitch.learning.prediction import Prediction
@@ -132,21 +130,15 @@ def prediction_row(
 
 
 def predicted_table(
-    settings: EvaluateSettings,
-    dataset: str | os.PathLike,
-    models: Mapping[Key, LrcnModel | Instrument],
-    calibrated: str,
+    dataset: str | os.PathLike, models: Mapping[Key, LrcnModel | Instrument]
 ) -> Table:
     """Return the predictions of models on all their test sets.
 
     Parameters
     ----------
-    settings : EvaluateSettings
     dataset : path
         What the sample stage wrote.
     models : mapping
-    calibrated : str
-        Name of the calibrated viewpoint.
 
     Raises
     ------
@@ -156,11 +148,7 @@ def predicted_table(
     manifest, _ = read_manifest(dataset)
     table = Table()
     trained_on = {key[0] for key in models}
-    tests = [
-        test
-        for test in evaluation_sets(manifest, calibrated, settings.viewpoints)
-        if test.trained_on in trained_on
-    ]
+    tests = [test for test in evaluation_sets(manifest) if test.trained_on in trained_on]
     if not tests:
         return table
     videos = read_videos(dataset, lambda row: any(test.holds(row) for test in tests))
@@ -184,9 +172,7 @@ def predicted_table(
             classes = table.models[split][network].get("classes", coefficients)
             table.rows += [
                 prediction_row(row, network, prediction, classes) | named
-                for row, prediction in zip(
-                    part.rows, model.predict(part, settings.batch_size), strict=True
-                )
+                for row, prediction in zip(part.rows, model.predict(part), strict=True)
             ]
             own = isinstance(model, Instrument) and network != SHIPPED
             if own and test.name in TRAINED_ON:
@@ -234,12 +220,9 @@ def probe_table(dataset: str | os.PathLike) -> Table:
 
 
 def write_evaluation(
-    settings: EvaluateSettings,
     dataset: str | os.PathLike,
     trained: Trained,
     out: Outputs,
-    *,
-    calibrated: str,
     update: bool = False,
     threads: int = 1,
 ) -> dict[str, Any]:
@@ -255,13 +238,13 @@ def write_evaluation(
     BadInput
         If a model is missing its partner, was trained on other data, files are damaged, or what
         must tell nothing of friction tells it (see `slipstitch.learning.evaluation.probes`); with
-        `update` also if the files are of another dataset or other settings.
+        `update` also if the files are of another dataset.
     """
     started = start_clock()
     set_up_torch(threads)
     manifest = Path(dataset) / MANIFEST
     files = trained.files()
-    before = _scored_before(settings, manifest, out.metrics) if update else {}
+    before = _scored_before(manifest, out.metrics) if update else {}
     kept = {
         kind
         for kind, paths in files.items()
@@ -270,42 +253,38 @@ def write_evaluation(
     rescaled = [] if AVERAGE in kept else _rescaled_since(files[AVERAGE], before)
     if rescaled:
         kept.add(AVERAGE)
-    table = predicted_table(settings, dataset, trained.load(frozenset(kept)), calibrated)
+    table = predicted_table(dataset, trained.load(frozenset(kept)))
     rows, _ = read_manifest(dataset)
     if kept:
         again = {row["network"] for row in table.rows}
         table.add(_written(out, rescaled), again)
     else:
         table.add(probe_table(dataset), ())
-    order = [test.name for test in evaluation_sets(rows, calibrated, settings.viewpoints)]
+    order = [test.name for test in evaluation_sets(rows)]
     scored = {row["split"] for row in table.rows if not row["network"].startswith(PROBE)}
     found = sorted(
         (row for row in table.rows if row["split"] in scored),
         key=lambda row: (order.index(row["split"]), place_in_tables(row["network"])),
     )
-    step = settings.friction_step
-    metrics = metrics_of_table(found, table.models, step)
+    metrics = metrics_of_table(found, table.models)
     of_video = {row["video"]: row for row in rows}
-    details = details_of_table(found, table.models, step, of_video)
+    details = details_of_table(found, table.models, of_video)
     for test, networks in table.alarms.items():
         for network, rates in networks.items():
             details[test][network]["alarms"] = rates
     record = provenance_record(
         "evaluate",
         inputs=[manifest, *(path for paths in files.values() for path in paths)],
-        config={"evaluate": settings},
         started=started,
     )
     write_json(out.metrics, metrics, record)
     write_json(out.details, details, record)
-    notes = {"models": table.models, "friction_step": step}
-    write_parquet(pa.Table.from_pylist(found, schema=SCHEMA), out.predictions, notes, record)
+    predictions = pa.Table.from_pylist(found, schema=SCHEMA)
+    write_parquet(predictions, out.predictions, {"models": table.models}, record)
     return metrics
 
 
-def _scored_before(
-    settings: EvaluateSettings, manifest: Path, out: str | os.PathLike
-) -> dict[str, str]:
+def _scored_before(manifest: Path, out: str | os.PathLike) -> dict[str, str]:
     """Path -> SHA-256 of what the metrics in `out` are of."""
     try:
         record = read_provenance(out)
@@ -314,8 +293,6 @@ def _scored_before(
     inputs = record.get("inputs", {})
     if file_digest(manifest) not in inputs.values():
         raise BadInput(f"{out}: scores of another dataset than {manifest.parent}")
-    if record.get("config", {}).get("evaluate") != settings.model_dump(mode="json"):
-        raise BadInput(f"{out}: scores by other settings than those of the section evaluate")
     return inputs
 
 

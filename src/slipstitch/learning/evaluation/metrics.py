@@ -17,6 +17,8 @@ from slipstitch.base.page.wording import number, percent
 from slipstitch.learning.instrument.conformal import covered
 
 TEST_SETS, CAPTURES = "test sets", "captures"
+#: Of the paper's grid of mu, in which errors are counted.
+STEP = 0.1
 
 
 @dataclass(frozen=True)
@@ -25,8 +27,6 @@ class PredictionsAndTruth:
 
     Attributes
     ----------
-    step : float
-        Grid step of mu, 0.1 in the paper.
     friction, reference : ndarray, shape (n,), optional
         Predicted and true friction coefficients.
     reference_error : ndarray, shape (n,), or float
@@ -42,7 +42,6 @@ class PredictionsAndTruth:
         Place of the true fabric among the guesses, 0 the first, of videos whose fabric is known.
     """
 
-    step: float
     friction: np.ndarray | None = None
     reference: np.ndarray | None = None
     reference_error: np.ndarray | float = 0.0
@@ -60,7 +59,7 @@ class PredictionsAndTruth:
 
     def share_off(self, errors: np.ndarray, steps: int) -> float:
         """Share of errors of at most so many grid steps."""
-        return float((steps_off(errors, np.zeros_like(errors), self.step) <= steps).mean())
+        return float((steps_off(errors, np.zeros_like(errors)) <= steps).mean())
 
     @cached_property
     def coverage(self) -> tuple[float, float]:
@@ -213,30 +212,28 @@ def distance(friction: ArrayLike, reference: ArrayLike, error: ArrayLike) -> np.
     return np.maximum(np.abs(np.subtract(friction, reference)) - error, 0.0)
 
 
-def steps_off(predicted: np.ndarray, true: np.ndarray, step: float) -> np.ndarray:
-    """Error in grid steps: |predicted - true| / step rounded half up, int64.
+def steps_off(predicted: ArrayLike, true: ArrayLike) -> np.ndarray:
+    """Error in steps of the paper's grid: |predicted - true| / `STEP` rounded half up, int64.
 
     The paper's "error < 0.1" on its grid of 0.1 is 0 steps (the exact class), "error < 0.2" at most
     1 step (the class or a neighbour), so that off the grid |error| < 0.05 and < 0.15 count.
     """
-    return np.floor(np.abs(predicted - true) / step + 0.5 + 1e-9).astype(np.int64)
+    return np.floor(np.abs(np.subtract(predicted, true)) / STEP + 0.5 + 1e-9).astype(np.int64)
 
 
-def friction_scores(predicted: np.ndarray, true: np.ndarray, step: float) -> dict[str, float]:
+def friction_scores(predicted: np.ndarray, true: np.ndarray) -> dict[str, float]:
     """Scores of predicted friction coefficients, on the grid or off it.
 
     Parameters
     ----------
     predicted, true : ndarray, shape (n,)
-    step : float
-        Grid step, 0.1 in the paper.
 
     Returns
     -------
     dict
         ``friction_lt_0.1``, ``friction_lt_0.2`` (shares in 0 ... 1), ``mean_absolute_error``.
     """
-    return scores_of(PredictionsAndTruth(step, predicted, true), "friction")
+    return scores_of(PredictionsAndTruth(predicted, true), "friction")
 
 
 def constant_error(true: np.ndarray) -> float:
@@ -268,3 +265,44 @@ def entry(n: int, seeds: list[int], *scores: dict[str, float]) -> dict[str, Any]
     for score in scores:
         known |= score
     return {name: known.get(name) for name in FIELDS}
+
+
+def test_set_lines(metrics: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> list[str]:
+    """Every test set and model of evaluate/metrics.json, a line each."""
+    heads = [f"{'split':<16}", f"{'model':<27}", f"{'n':>5}"]
+    return _lines(metrics, heads, metrics_of(TEST_SETS))
+
+
+def capture_lines(metrics: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> list[str]:
+    """Every subset of the captures and model of captures/metrics.json, a line each."""
+    heads = [f"{'captures':<22}", f"{'model':<38}", f"{'n':>4}"]
+    columns = [metric for metric in metrics_of(CAPTURES, "friction", "capture") if metric.column]
+    return _lines(metrics, heads, columns)
+
+
+def _lines(metrics, heads: list[str], columns: list[Metric]) -> list[str]:
+    first, second, count = (len(head) for head in heads)
+    return [" ".join([*heads, *(f"{metric.column:>{_width(metric)}}" for metric in columns)])] + [
+        " ".join(
+            [
+                f"{of:<{first}}",
+                f"{model:<{second}}",
+                f"{row['n']:>{count}}",
+                *(_cell(metric, row[metric.name]) for metric in columns),
+            ]
+        )
+        for of, models in metrics.items()
+        for model, row in models.items()
+    ]
+
+
+def _width(metric: Metric) -> int:
+    return max(7, len(metric.column) + 1)
+
+
+def _cell(metric: Metric, value: float | None) -> str:
+    if value is None:
+        shown = "-"
+    else:
+        shown = f"{100 * value:.1f}%" if metric.unit == "%" else f"{value:.4f}"
+    return f"{shown:>{_width(metric)}}"

@@ -1,10 +1,13 @@
-"""The paper's results that ours are compared with (Rasheed et al., CVPR 2020, Sec. 6).
+"""The paper's results that ours are compared with (Rasheed et al., CVPR 2020, Sec. 6), its Fig. 6.
 
 Shares in 0 ... 1. Figures that the paper does not print are missing here.
 """
 
 from collections.abc import Iterable
 from itertools import groupby
+
+import numpy as np
+from matplotlib.axes import Axes
 
 CITATION = (
     "Rasheed, Romero, Bertails-Descoubes, Wuhrer, Franco, Lazarus: Learning to Measure the Static "
@@ -63,3 +66,22 @@ def captures_cells(subset: str, names: Iterable[str]) -> list[tuple[float | None
         width = len(list(same))
         found += [(None, width)] if figure is None else [(figure, 1)] * width
     return found
+
+
+def cumulative_error(errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distinct errors in increasing order, and the share of videos with at most that error.
+
+    Parameters
+    ----------
+    errors : ndarray, shape (n,)
+        Not negative.
+    """
+    values, counts = np.unique(np.round(errors, 9), return_counts=True)
+    return values, np.cumsum(counts) / len(errors)
+
+
+def draw_cumulative(axes: Axes, errors: np.ndarray, widest: float, **style) -> None:
+    """Draw the steps from 0 to the largest error that the axes show."""
+    values, shares = cumulative_error(errors)
+    end = max(widest, values[-1])
+    axes.step([0, *values, end], [0, *shares, 1.0], where="post", **style)

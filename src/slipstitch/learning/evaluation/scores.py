@@ -92,19 +92,16 @@ def grouped(rows: Iterable[Row], *keys: str) -> dict[Any, list[Row]]:
     return found
 
 
-def answers_of(rows: Sequence[Row], step: float) -> PredictionsAndTruth:
+def answers_of(rows: Sequence[Row]) -> PredictionsAndTruth:
     """Return the predictions of one model as arrays.
 
     Parameters
     ----------
     rows : sequence of dict
         With columns of `SCHEMA`; of captures also ``reference_error``.
-    step : float
-        Grid step of mu for the shares of small errors.
     """
     known = [row for row in rows if row["fabrics"] and row["material"] in row["fabrics"]]
     return PredictionsAndTruth(
-        step,
         np.array([row["predicted_value"] for row in rows]),
         np.array([row["true_value"] for row in rows]),
         np.array([row.get("reference_error", 0.0) for row in rows]),
@@ -117,14 +114,14 @@ def answers_of(rows: Sequence[Row], step: float) -> PredictionsAndTruth:
     )
 
 
-def scores(rows: Sequence[Row], step: float) -> dict[str, float]:
+def scores(rows: Sequence[Row]) -> dict[str, float]:
     """Return the scores of one model and seed on some videos.
 
     Those of `metrics.METRICS` for test sets; fabrics only where all are ones that the model knows.
     Of an instrument also ``alarm_rate`` and, with more than one simulation, the standard error of
     the coverage, ``coverage_90_error``; every simulation counts once.
     """
-    answers = answers_of(rows, step)
+    answers = answers_of(rows)
     result: dict[str, float] = {}
     if not predicts_material_alone(rows[0]["network"]):
         result |= scores_of(answers, "friction")
@@ -138,16 +135,16 @@ def scores(rows: Sequence[Row], step: float) -> dict[str, float]:
     return result
 
 
-def scores_by_seed(rows: Sequence[Row], step: float) -> dict[str, dict[str, float]]:
+def scores_by_seed(rows: Sequence[Row]) -> dict[str, dict[str, float]]:
     """Return the scores of every seed of a network, by the seed's name."""
     found = {
-        ENSEMBLE if seed is None else str(seed): scores(of_seed, step)
+        ENSEMBLE if seed is None else str(seed): scores(of_seed)
         for seed, of_seed in grouped(rows, "seed").items()
     }
     return dict(sorted(found.items()))
 
 
-def metrics_of_table(rows: Sequence[Row], models: Mapping[str, Any], step: float) -> dict[str, Any]:
+def metrics_of_table(rows: Sequence[Row], models: Mapping[str, Any]) -> dict[str, Any]:
     """Return the content of metrics.json: ``{test set: {model: {field: number or None}}}``.
 
     Parameters
@@ -156,8 +153,6 @@ def metrics_of_table(rows: Sequence[Row], models: Mapping[str, Any], step: float
         As `SCHEMA`.
     models : mapping
         ``{trained_on: {network: {"seeds": [...]}}}`` of averages.
-    step : float
-        Grid step of mu for the shares of small errors.
     """
     metrics: dict[str, Any] = {}
     for test, of_test in grouped(rows, "split").items():
@@ -174,7 +169,7 @@ def metrics_of_table(rows: Sequence[Row], models: Mapping[str, Any], step: float
             metrics[test][name] = entry(
                 len(grouped(found[0], "video")),
                 sorted(seeds),
-                *(mean_over_seeds([*scores_by_seed(part, step).values()]) for part in found),
+                *(mean_over_seeds([*scores_by_seed(part).values()]) for part in found),
             )
     return metrics
 
@@ -189,13 +184,13 @@ def place_in_tables(network: str) -> int:
 
 
 def details_of_table(
-    rows: Sequence[Row], models: Mapping[str, Any], step: float, manifest: Mapping[str, Row]
+    rows: Sequence[Row], models: Mapping[str, Any], manifest: Mapping[str, Row]
 ) -> dict[str, Any]:
     """Return the content of details.json but for the alarms on wrong inputs.
 
     Parameters
     ----------
-    rows, models, step
+    rows, models
         As for `metrics_of_table`; of every network but the instruments ``classes`` too.
     manifest : mapping
         Video -> row of the manifest.
@@ -203,18 +198,16 @@ def details_of_table(
     details: dict[str, Any] = {}
     for (test, network), part in grouped(rows, "split", "network").items():
         of_network = models[part[0]["trained_on"]].get(network, {})
-        details.setdefault(test, {})[network] = _detail(
-            part, of_network.get("classes"), step, manifest
-        )
+        details.setdefault(test, {})[network] = _detail(part, of_network.get("classes"), manifest)
     return details
 
 
 def _detail(
-    rows: list[Row], classes: list[Row] | None, step: float, manifest: Mapping[str, Row]
+    rows: list[Row], classes: list[Row] | None, manifest: Mapping[str, Row]
 ) -> dict[str, Any]:
     """Return everything that details.json says of one network on one test set."""
     first = next(iter(grouped(rows, "seed").values()))
-    of_seeds = scores_by_seed(rows, step)
+    of_seeds = scores_by_seed(rows)
     result: dict[str, Any] = _counts(first) | {
         "trained_on": first[0]["trained_on"],
         "chance": {},
@@ -222,13 +215,13 @@ def _detail(
         "seeds": of_seeds,
     }
     if classes is None:
-        result["by"] = breakdown(rows, step, manifest)
+        result["by"] = breakdown(rows, manifest)
     else:
         result |= {"classes": classes, **_of_classes(rows, first, classes)}
         if not first[0]["network"].startswith(PROBE):
             result["viewpoints"] = {
                 viewpoint: _counts(grouped(seen, "seed")[first[0]["seed"]])
-                | _over_seeds(scores_by_seed(seen, step))
+                | _over_seeds(scores_by_seed(seen))
                 for viewpoint, seen in sorted(grouped(rows, "viewpoint").items())
             }
     if not predicts_material_alone(first[0]["network"]):
@@ -259,9 +252,7 @@ def _of_classes(rows: list[Row], first: list[Row], classes: list[Row]) -> dict[s
     return {"chance": chance, "confusion": counts.tolist()}
 
 
-def breakdown(
-    rows: Sequence[Row], step: float, manifest: Mapping[str, Row]
-) -> dict[str, dict[str, Row]]:
+def breakdown(rows: Sequence[Row], manifest: Mapping[str, Row]) -> dict[str, dict[str, Row]]:
     """Return errors and coverage by fabric, coefficient, floor, texture, and pose of the camera.
 
     Returns
@@ -289,7 +280,7 @@ def breakdown(
             parts.setdefault(value_of(manifest[row["video"]]), []).append(row)
         result[kind] = {}
         for value, part in sorted(parts.items()):
-            answers = answers_of(part, step)
+            answers = answers_of(part)
             result[kind][value] = _counts(part) | {
                 "mean_absolute_error": BY_NAME["mean_absolute_error"].compute(answers),
                 "within_0_1": BY_NAME["within_0.1"].compute(answers),
@@ -307,7 +298,7 @@ def read_table(path: str | os.PathLike) -> tuple[list[Row], dict[str, Any]]:
         If the file is missing, damaged, or of an earlier version, without the fabrics.
     """
     notes = read_metadata(path)
-    if not {"models", "friction_step"} <= set(notes):
+    if "models" not in notes:
         raise BadInput(f"{path}: of an earlier version of Slipstitch: evaluate again")
     return read_parquet(path, SCHEMA.names).to_pylist(), notes
 
@@ -321,4 +312,4 @@ def recomputed(path: str | os.PathLike) -> dict[str, Any]:
         As `read_table`.
     """
     rows, notes = read_table(path)
-    return metrics_of_table(rows, notes["models"], notes["friction_step"])
+    return metrics_of_table(rows, notes["models"])

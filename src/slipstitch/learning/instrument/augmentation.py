@@ -10,6 +10,8 @@ from torch import Tensor
 
 from slipstitch.config.instrument import InstrumentSettings
 
+BLUR_PX = 0.7  # largest standard deviation
+NOISE = 0.1  # largest, in standard deviations of the video
 EVERY = 4  # every so many rows and columns count in a video's mean and deviation
 
 
@@ -74,14 +76,14 @@ def augmented(
     moved = np.empty_like(videos)
     for video, result in zip(videos, moved, strict=True):
         corners = generator.uniform(-reach, reach, (3, 2))
-        blur = settings.blur_px * generator.random()
+        blur = BLUR_PX * generator.random()
         source = np.stack([generator.permutation(3), np.arange(3)], axis=1).ravel().tolist()
         for frame, target in zip(video, result, strict=True):
             seen = rectified_with_errors(frame, corners, blur)
             cv2.mixChannels([seen], [target], source)
     result = standardised(moved)
     for video in result:
-        size = settings.noise * float(generator.random())
+        size = NOISE * float(generator.random())
         grain = generator.standard_normal((side + frames) * side * 3, np.float32) * size
         strip = torch.from_numpy(grain).view(side + frames, side, 3)
         video += strip.unfold(0, side, 1).permute(0, 3, 1, 2)[:frames]

@@ -6,10 +6,12 @@ import numpy as np
 import torch
 from torch import Tensor
 
+GRID_STEP = 0.01  # of mu
 
-def friction_grid(largest: float, step: float) -> np.ndarray:
-    """Values of mu from 0 to `largest` at a step, float64 of shape (G,)."""
-    return np.linspace(0.0, largest, round(largest / step) + 1)
+
+def friction_grid(largest: float) -> np.ndarray:
+    """Values of mu from 0 to `largest`, float64 of shape (G,)."""
+    return np.linspace(0.0, largest, round(largest / GRID_STEP) + 1)
 
 
 def mixture_cumulative(parameters: Tensor, points: Tensor) -> Tensor:

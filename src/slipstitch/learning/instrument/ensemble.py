@@ -21,30 +21,26 @@ from slipstitch.base.provenance import (
     provenance_record,
     read_provenance,
     start_clock,
+    write_parquet,
     write_sidecar,
 )
 from slipstitch.config.train import split_of
 from slipstitch.dataset.manifest import MANIFEST
 from slipstitch.dataset.videos import Videos, read_videos, takes_part
 from slipstitch.learning.instrument.alarm import Alarm
-from slipstitch.learning.instrument.calibration_answers import (
-    FILE,
+from slipstitch.learning.instrument.calibration import (
+    ANSWERS,
+    ANSWERS_SCHEMA,
     CalibrationAnswers,
+    answers_on,
     from_table,
     read_answers,
-    write_answers,
+    with_error_bars,
 )
-from slipstitch.learning.instrument.calibration_readings import FILE as READINGS
-from slipstitch.learning.instrument.calibration_readings import (
-    CalibrationReadings,
-    kept_readings,
-    read_readings,
-    readings_on,
-    write_readings,
-)
-from slipstitch.learning.instrument.error_bars import answers_on, rescaled_by, with_error_bars
+from slipstitch.learning.instrument.conformal import grouped_quantile
 from slipstitch.learning.instrument.measuring import (
     CARD,
+    COVERAGE,
     NETWORKS_MAX,
     WEIGHTS,
     Instrument,
@@ -54,6 +50,13 @@ from slipstitch.learning.instrument.measuring import (
     save_instrument,
 )
 from slipstitch.learning.instrument.network import InstrumentNetwork
+from slipstitch.learning.instrument.readings import (
+    READINGS,
+    CalibrationReadings,
+    kept_readings,
+    read_readings,
+    readings_on,
+)
 from slipstitch.learning.torch_setup import set_up_torch
 
 # What is the same for all members; the rest of a card is of one training.
@@ -186,7 +189,7 @@ def recalibrate_instrument(
     further : sequence of path
         Datasets of which all videos calibrate.
     files : sequence of path
-        Readings by this average (`calibration_readings.read_readings`).
+        Readings by this average (`readings.read_readings`).
     threads : int
 
     Returns
@@ -207,7 +210,7 @@ def recalibrate_instrument(
         raise BadInput(f"{folder}: is a single training; averages alone keep what calibrated them")
     if before.error_bars is None:
         raise BadInput(f"{folder}: has no alarm, as nothing has calibrated it")
-    held = read_answers(Path(folder) / FILE)
+    held = read_answers(folder)
     readings = kept_readings(folder)
     try:
         inputs = read_provenance(Path(folder) / WEIGHTS)["inputs"]
@@ -264,13 +267,24 @@ def _on_datasets(
 def _rescaled(
     combined: Instrument, held: CalibrationAnswers, readings: CalibrationReadings
 ) -> Instrument:
-    """By the readings too, with a card that says so."""
+    """The average whose intervals hold on other benches too, with a card that says so.
+
+    Its conformal scale is the quantile over all simulations, its own and those of the readings,
+    each counting once. All else stays as it is.
+    """
     simulations = len({*held.groups}) + len({*readings.groups})
     card = combined.card | {"calibration_simulations": simulations}
-    if not readings.rows:
-        return dataclasses.replace(combined, card=card)
-    card["calibration_readings"] = readings.noted
-    return rescaled_by(dataclasses.replace(combined, card=card), held, readings)
+    bars = combined.error_bars
+    if bars and readings.rows:
+        card["calibration_readings"] = readings.noted
+        own = combined.needed_scale(combined.spread_out(held.probabilities), held.friction)
+        scale = grouped_quantile(
+            np.concatenate([own, [row["stretch"] for row in readings.rows]]),
+            [*(f"own {group}" for group in held.groups), *readings.groups],
+            COVERAGE,
+        )
+        bars = dataclasses.replace(bars, conformal_scale=scale)
+    return dataclasses.replace(combined, card=card, error_bars=bars)
 
 
 def _with(
@@ -305,13 +319,14 @@ def _write(
     out_dir: str | os.PathLike,
     record: dict[str, Any],
 ) -> dict[str, Any]:
-    """Write the four files; the card."""
+    """Write the four files, tables without rows where nothing calibrates; return the card."""
     out = Path(out_dir)
     written = save_instrument(combined, out)
     for name in (WEIGHTS, CARD):
         write_sidecar(out / name, record)
-    write_answers(held, out / FILE, record)
-    write_readings(readings, out / READINGS, record)
+    answers = ANSWERS_SCHEMA.empty_table() if held is None else held.table()
+    write_parquet(answers, out / ANSWERS, {}, record)
+    write_parquet(readings.table(), out / READINGS, {}, record)
     return written
 
 

@@ -108,7 +108,7 @@ class Instrument:
     def grid(self) -> np.ndarray:
         """Grid of mu, float64 of shape (G,)."""
         # Not the network's, whose end is 1.29999995 in float32 where a truth of 1.3 may lie.
-        return friction_grid(self.settings.friction_max, self.settings.friction_step)
+        return friction_grid(self.settings.friction_max)
 
     def answers(
         self, videos: np.ndarray, generator: np.random.Generator, poses: np.ndarray | None = None

@@ -19,6 +19,7 @@ from slipstitch.images.keypoints import KEYPOINTS_UV
 from slipstitch.learning.instrument.distribution import friction_grid
 
 POSITION_CHANNELS = 16  # of the last feature map, flattened with their positions
+RECURRENT_UNITS = 96  # in each direction
 COMPONENTS = 3  # of the normal mixture for mu
 SHARE_SHIFTED = 8  # one channel in so many, either way
 
@@ -117,7 +118,7 @@ class InstrumentNetwork(nn.Module):
             self.of_points = nn.Sequential(
                 nn.Linear(3 * len(KEYPOINTS_UV), settings.features), nn.GELU()
             )
-        units = settings.recurrent_units
+        units = RECURRENT_UNITS
         self.recurrent = nn.GRU(settings.features, units, batch_first=True, bidirectional=True)
         self.attention = nn.Linear(2 * units, 1)
         self.friction = nn.Sequential(
@@ -127,7 +128,7 @@ class InstrumentNetwork(nn.Module):
         self.order = nn.Linear(2 * units, 1)
         self._initialise()
         self.convolutions.to(memory_format=torch.channels_last)
-        grid = torch.from_numpy(friction_grid(settings.friction_max, settings.friction_step))
+        grid = torch.from_numpy(friction_grid(settings.friction_max))
         self.register_buffer("grid", grid.float(), persistent=False)
 
     def _initialise(self) -> None:
@@ -171,7 +172,7 @@ class InstrumentNetwork(nn.Module):
         dict
             ``friction`` (n, 3, components), see `mixture_cumulative`; ``material`` (n, materials)
             logits; ``order`` (n,) logit of an ordinary video; ``attention_weights`` (n, frames),
-            sum 1; ``embedding`` (n, 2 * recurrent_units); ``points`` (n, frames, points,
+            sum 1; ``embedding`` (n, 2 * `RECURRENT_UNITS`); ``points`` (n, frames, points,
             3), if the network learns them: places minus ``points_mean_m`` over ``points_spread_m``.
         """
         videos, count = frames.shape[:2]

@@ -23,12 +23,12 @@ from slipstitch.learning.instrument.augmentation import (
     phased,
     standardised,
 )
+from slipstitch.learning.instrument.calibration import calibrated
 from slipstitch.learning.instrument.distribution import (
     medians,
     mixture_cumulative,
     ranked_probability_score,
 )
-from slipstitch.learning.instrument.error_bars import calibrated
 from slipstitch.learning.instrument.keypoints import (
     keypoint_errors,
     keypoints_in_unit,

@@ -1,8 +1,8 @@
-"""Readings of videos of known friction, which widen the conformal scale of an instrument.
+"""Readings of videos of known friction of other benches, which widen an instrument's intervals.
 
-An instrument is calibrated on videos of its own dataset that did not train it. Other benches have
-other clamps, fabrics and cloths: what it reads there, with the coefficients that are true, is all
-that the conformal step needs to allow for them (`slipstitch.learning.instrument.conformal`).
+Other benches have other clamps, fabrics and cloths than those of the instrument's own dataset. What
+it reads there, with the coefficients that are true, is all that the conformal step needs to allow
+for them (`slipstitch.learning.instrument.conformal`).
 """
 
 import math
@@ -15,23 +15,18 @@ import numpy as np
 import pyarrow as pa
 
 from slipstitch.base.errors import BadInput
-from slipstitch.base.provenance import (
-    file_digest,
-    read_json,
-    read_parquet,
-    read_sidecar,
-    write_parquet,
-)
+from slipstitch.base.provenance import file_digest, read_json, read_parquet, read_sidecar
 from slipstitch.dataset.videos import Videos
 from slipstitch.learning.instrument.augmentation import phased
 from slipstitch.learning.instrument.distribution import conformal_scales_of
 from slipstitch.learning.instrument.measuring import Instrument
 from slipstitch.learning.instrument.poses import poses_of
 
-FILE = "readings.parquet"
-#: Columns of a reading, in `FILE` and in the files that `read_readings` reads.
+#: File of an average with the readings that calibrated it.
+READINGS = "readings.parquet"
+#: Columns of a reading, in `READINGS` and in the files that `read_readings` reads.
 COLUMNS = ("simulation", "friction", "reading", "low", "high")
-SCHEMA = pa.schema(
+READINGS_SCHEMA = pa.schema(
     [
         ("source", pa.string()),  # digest of the dataset, SHA-256 of the file
         ("dataset", pa.string()),  # its digest, if it is known
@@ -52,19 +47,19 @@ class CalibrationReadings:
     Attributes
     ----------
     rows : list of dict
-        As `SCHEMA`.
+        As `READINGS_SCHEMA`.
     """
 
     rows: list[dict[str, Any]]
 
     @property
     def groups(self) -> list[str]:
-        """The simulation of each, told apart from those of other sources."""
+        """Return the simulation of each, told apart from those of other sources."""
         return [f"{row['source']} {row['simulation']}" for row in self.rows]
 
     @property
     def noted(self) -> list[dict[str, Any]]:
-        """For each source its digest, and the numbers of its videos and simulations."""
+        """Return for each source its digest, and the numbers of its videos and simulations."""
         return [
             {
                 "digest": source,
@@ -77,16 +72,16 @@ class CalibrationReadings:
 
     @property
     def known(self) -> set[str]:
-        """Digests by which their sources, and the datasets that these are of, are known."""
+        """Return the digests of their sources, and of the datasets that these are of."""
         return {row[name] for row in self.rows for name in ("source", "dataset") if row[name]}
 
     def table(self) -> pa.Table:
-        """As `FILE` keeps them."""
-        return pa.Table.from_pylist(self.rows, schema=SCHEMA)
+        """Return the readings as `READINGS` keeps them."""
+        return pa.Table.from_pylist(self.rows, schema=READINGS_SCHEMA)
 
 
 def readings_on(instrument: Instrument, videos: Videos) -> CalibrationReadings:
-    """What a calibrated instrument reads of the videos of a dataset."""
+    """Return what a calibrated instrument reads of the videos of a dataset."""
     frames = phased(videos.pixels, instrument.card["frames"], None)
     answers = instrument.answers(frames, np.random.default_rng(0), poses_of(videos.rows))
     distributions = instrument.distributions(answers)
@@ -112,7 +107,7 @@ def readings_on(instrument: Instrument, videos: Videos) -> CalibrationReadings:
 
 
 def read_readings(path: str | os.PathLike, instrument: Instrument) -> CalibrationReadings:
-    """Readings by an instrument that a JSON file lists, as those of benchmarks do.
+    """Return the readings by an instrument that a JSON file lists, as those of studies do.
 
     Parameters
     ----------
@@ -208,21 +203,7 @@ def _check_of(path: str | os.PathLike, content: dict[str, Any], instrument: Inst
 
 
 def kept_readings(folder: str | os.PathLike) -> CalibrationReadings:
-    """Those that calibrated an average, in its folder; none where it has no such file.
-
-    Raises
-    ------
-    BadInput
-        If the file is damaged or another one.
-    """
-    path = Path(folder) / FILE
-    if not path.is_file():
-        return CalibrationReadings([])
-    return CalibrationReadings(read_parquet(path, SCHEMA.names).to_pylist())
-
-
-def write_readings(
-    readings: CalibrationReadings, path: str | os.PathLike, record: dict[str, Any]
-) -> None:
-    """Write `FILE`, without any row where none calibrate."""
-    write_parquet(readings.table(), Path(path), {}, record)
+    """Return those that calibrated an average; none where its folder has no such file."""
+    path = Path(folder) / READINGS
+    found = read_parquet(path, READINGS_SCHEMA.names).to_pylist() if path.is_file() else []
+    return CalibrationReadings(found)
