@@ -76,8 +76,7 @@ def test_the_files_say_that_they_hold_images_and_where_they_come_from(config, re
 
 
 def test_places_of_points_go_with_their_frames(config, tmp_path):
-    shards = synthetic_videos.write_shards(config, tmp_path / "render", marked=True)
-    write_dataset(config, shards, tmp_path / "sample")
+    synthetic_videos.write_dataset(config, tmp_path, marked=True)
     videos = read_videos(tmp_path / "sample", frames=3)
     known = read_metadata(shards[0])["marked_points_m"]
     of_shard = [

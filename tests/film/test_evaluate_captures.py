@@ -17,7 +17,6 @@ from slipstitch.config import write_config
 from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.config.train import TrainSettings
-from slipstitch.dataset.dataset import write_dataset
 from slipstitch.film.captures_evaluation import write_captures_evaluation
 from slipstitch.film.captures_scores import capture_scores, distance, subsets
 from slipstitch.images.camera import pose
@@ -77,7 +76,7 @@ def test_captures_are_looked_at_with_and_without_mirrors():
 
 
 def test_scores_of_classes():
-    scores = capture_scores(CLASSES, 0.1)
+    scores = capture_scores(CLASSES)
     # Distances: five zeros; 0.10, 0, 0, 0.06, 0.26. Half a step is 0.05, one and a half 0.15.
     assert scores["friction_lt_0.1"] == 0.7
     assert scores["friction_lt_0.2"] == 0.9
@@ -92,14 +91,14 @@ def test_scores_of_classes():
     # Felt is no class: the five films of it do not count.
     assert (scores["material_top1"], scores["material_top2"]) == (0.0, 1.0)
     assert "coverage_90" not in scores
-    matte = capture_scores(CLASSES[:5], 0.1)
+    matte = capture_scores(CLASSES[:5])
     assert matte["equal_predictions"] == 1.0
     assert "material_top1" not in matte
 
 
 def test_a_pair_is_within_a_tenth_if_its_median_is_as_the_paper_counts():
     """Of the second pair's films two are: of the films most are within, of the pairs one."""
-    scores = capture_scores(predicted([0.3, 0.3, 0.3, 0.3, 0.3, 0.6, 0.7, 0.9, 0.9, 0.9]), 0.1)
+    scores = capture_scores(predicted([0.3, 0.3, 0.3, 0.3, 0.3, 0.6, 0.7, 0.9, 0.9, 0.9]))
     assert (scores["within_0.1"], scores["median_within_0.1"]) == (0.7, 0.5)
     printed = {name: figures.get("median_within_0.1") for name, figures in paper.CAPTURES.items()}
     pairs = {"all": 39 / 63, "matte": 31 / 36, "all, reflective training": 59 / 63}
@@ -112,7 +111,7 @@ def test_a_pair_is_within_a_tenth_if_its_median_is_as_the_paper_counts():
 def test_scores_of_an_instrument():
     friction = np.array([0.31, 0.32, 0.29, 0.33, 0.34, 0.6, 0.61, 0.62, 0.63, 0.66])
     ends = {"low": (friction - 0.01).tolist(), "high": (friction + 0.01).tolist()}
-    scores = capture_scores(predicted(friction, **ends, alarm=["odd"] + [""] * 9), 0.1)
+    scores = capture_scores(predicted(friction, **ends, alarm=["odd"] + [""] * 9))
     # Intervals that do not meet the reference's: at 0.34 and 0.66, by 0.01.
     assert scores["coverage_90"] == 0.8
     assert scores["interval_width"] == pytest.approx(0.02)
@@ -128,8 +127,7 @@ def bench(tmp_path_factory):
     config = synthetic_videos.config(
         train={"epochs_per_cycle": 1, "fine_tuning_epochs": 0, "plateau_margin": None}
     )
-    shards = synthetic_videos.write_shards(config, folder / "render")
-    write_dataset(config, shards, folder / "sample")
+    synthetic_videos.write_dataset(config, folder)
     networks = folder / "train" / "by_video"
     for network in ("material_baseline", "friction_baseline", "friction_conditional"):
         material = networks / "material_baseline" / "seed0"

@@ -10,7 +10,6 @@ from slipstitch.base.provenance import read_sidecar
 from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.config.ablate import VARIANTS
-from slipstitch.dataset.dataset import write_dataset
 from slipstitch.learning.ablation.questions import QUESTIONS
 from slipstitch.learning.ablation.run import Case, lrcn_settings, phases, run_case
 from slipstitch.learning.lrcn_model import load_model
@@ -32,10 +31,7 @@ def configuration(**ablate):
 def dataset(tmp_path_factory):
     folder = tmp_path_factory.mktemp("dataset")
     config = configuration()
-    write_dataset(
-        config, synthetic_videos.write_shards(config, folder / "render"), folder / "sample"
-    )
-    return folder / "sample"
+    return synthetic_videos.write_dataset(config, folder)
 
 
 def passes(schedule):
@@ -57,10 +53,9 @@ def test_joint_and_progressive_show_equally_many_videos(views, count):
 
 
 def test_the_configuration_lists_every_variant_of_every_question():
-    assert {
-        name: dict.fromkeys(question.networks, tuple(question.variants))
-        for name, question in QUESTIONS.items()
-    } == VARIANTS
+    assert list(VARIANTS) == list(QUESTIONS)
+    for name, of_network in VARIANTS.items():
+        assert set(of_network.values()) == {tuple(QUESTIONS[name].variants)}
 
 
 @pytest.mark.parametrize("network", ["lrcn", "instrument"])

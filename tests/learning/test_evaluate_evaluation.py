@@ -42,7 +42,7 @@ CONFIG = synthetic_videos.config(
         "test_viewpoint_videos": 5,
         "reflective_floors": ["ceramic"],
     },
-    train={"splits": list(TRAINED_ON)},
+    train={"splits": list(TRAINED_ON), "epochs_per_cycle": 8, "plateau_margin": None},
 )
 KEPT = "by_video"
 FINE_TUNED = ["lrcn_baseline_calibrated", "lrcn_conditional_calibrated"]
@@ -52,8 +52,7 @@ FINE_TUNED = ["lrcn_baseline_calibrated", "lrcn_conditional_calibrated"]
 def chain(tmp_path_factory):
     """A dataset with test-only textures, views and floors, and all networks."""
     folder = tmp_path_factory.mktemp("chain")
-    shards = synthetic_videos.write_shards(CONFIG, folder / "render")
-    write_dataset(CONFIG, shards, folder / "sample")
+    synthetic_videos.write_dataset(CONFIG, folder)
     for split in TRAINED_ON:
         for network, _ in trainings(CONFIG.train, split):
             material = folder / "train" / split / "material_baseline" / "seed0"
@@ -363,8 +362,7 @@ def test_instruments_alone_are_evaluated_by_camera_fabric_and_coefficient(tmp_pa
         render={"viewpoints": ["calibrated", "bench_1"]},
         train={"splits": ["by_simulation"]},
     )
-    shards = synthetic_videos.write_shards(config, tmp_path / "render")
-    write_dataset(config, shards, tmp_path / "sample")
+    synthetic_videos.write_dataset(config, tmp_path)
     trained = Path("instrument/by_simulation/seed0/instrument.safetensors")
     for seed in (0, 1):
         train_instrument(
@@ -452,8 +450,7 @@ def test_instruments_alone_are_evaluated_by_camera_fabric_and_coefficient(tmp_pa
     ensemble = tmp_path / "instrument/by_simulation/ensemble"
     scored = {path: path.read_bytes() for path in tmp_path.iterdir() if path.is_file()}
     bench = synthetic_videos.config(seed=5, grid={"frictions": [0.3, 0.4, 0.7], "replicates": 4})
-    shards = synthetic_videos.write_shards(bench, tmp_path / "bench/render")
-    write_dataset(bench, shards, tmp_path / "bench/sample")
+    synthetic_videos.write_dataset(bench, tmp_path / "bench")
     with contextlib.chdir(tmp_path):
         recalibrate_instrument(ensemble, tmp_path / "again", ["bench/sample"])
     shutil.copytree(tmp_path / "again", ensemble, dirs_exist_ok=True)

@@ -6,11 +6,9 @@ import sys
 import numpy as np
 import pytest
 
-from slipstitch.base.errors import BadInput
 from slipstitch.base.page.wording import number, percent, seeds_in_words
 from slipstitch.learning.evaluation.metrics import (
     FIELDS,
-    check_probabilities,
     entry,
     friction_scores,
     mean_over_seeds,
@@ -100,21 +98,6 @@ def test_an_entry_has_every_field_and_null_where_nothing_is_known():
     one = entry(7, [0, 1], {"friction_lt_0.1": 0.5})
     assert tuple(one) == FIELDS
     assert one["n"] == 7 and one["seeds"] == [0, 1] and one["coverage_90"] is None
-
-
-@pytest.mark.parametrize(
-    ("shares", "truth"),
-    [
-        (np.array([[0.5, 0.6]]), np.array([0])),
-        (np.array([[np.nan, 1.0]]), np.array([0])),
-        (np.array([[0.5, 0.5]]), np.array([2])),
-        (np.array([[0.5, 0.5]]), np.array([0, 1])),
-        (np.zeros((0, 2)), np.zeros(0, int)),
-    ],
-)
-def test_what_is_no_prediction_is_refused(shares, truth):
-    with pytest.raises(BadInput):
-        check_probabilities(shares, truth)
 
 
 def test_seeds_give_a_mean_and_their_standard_deviation():

@@ -181,19 +181,6 @@ def test_the_shifts_derivative_is_its_transpose():
     assert torch.autograd.gradcheck(lambda x: shifted_in_time(x, 3), maps)
 
 
-def test_altered_files_are_refused(folder, tmp_path):
-    for name in (WEIGHTS, CARD):
-        (tmp_path / name).write_bytes((folder / name).read_bytes())
-    card = json.loads((tmp_path / CARD).read_text())
-    (tmp_path / CARD).write_text(json.dumps({**card, "materials": ["silk", "wool"]}))
-    with pytest.raises(BadInput, match="altered"):
-        load_instrument(tmp_path)
-    (tmp_path / CARD).write_text(json.dumps(card))
-    (tmp_path / WEIGHTS).write_bytes((folder / WEIGHTS).read_bytes()[:-1] + b"?")
-    with pytest.raises(BadInput, match="altered or damaged"):
-        load_instrument(tmp_path)
-
-
 @pytest.mark.parametrize(
     "claim",
     [
@@ -218,13 +205,8 @@ def test_a_card_signed_anew_claims_nothing_that_is_not_so(folder, tmp_path, clai
         load_instrument(tmp_path)
 
 
-def test_foreign_files_are_refused(folder, tmp_path):
-    with pytest.raises(BadInput, match="no such file"):
-        load_instrument(tmp_path)
+def test_a_model_of_another_kind_is_refused(tmp_path):
     save_file({"weight": torch.zeros(2)}, tmp_path / WEIGHTS)
-    (tmp_path / CARD).write_text("{}")
-    with pytest.raises(BadInput, match="not a model card of Slipstitch"):
-        load_instrument(tmp_path)
     (tmp_path / CARD).write_text('{"format": "slipstitch-lrcn-1"}')
     with pytest.raises(BadInput, match="'slipstitch-instrument-3' is needed"):
         load_instrument(tmp_path)

@@ -1,25 +1,18 @@
 """The instrument learns, goes on after a kill to the same bits, and refuses what cannot work."""
 
 import csv
-import shutil
 from types import SimpleNamespace
 
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 import torch
 from support import synthetic_videos
 
 from slipstitch.base.errors import BadInput
-from slipstitch.base.provenance import attach_metadata
 from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.config.instrument import InstrumentSettings
-from slipstitch.dataset.dataset import write_dataset
-from slipstitch.dataset.manifest import dataset_digest
 from slipstitch.dataset.videos import read_videos
-from slipstitch.learning.instrument import training as training_module
 from slipstitch.learning.instrument.augmentation import disordered, phased
 from slipstitch.learning.instrument.keypoints import (
     KEYPOINT_ERROR_M,
@@ -35,7 +28,7 @@ from slipstitch.learning.instrument.training import (
     train_instrument,
     training_views,
 )
-from slipstitch.learning.trainer import DivergedError, PlateauError, Run, curve
+from slipstitch.learning.trainer import Run, curve
 
 CONFIG = synthetic_videos.config(
     grid={"frictions": [0.2, 0.5, 0.8], "replicates": 6},
@@ -54,9 +47,7 @@ SETTINGS = InstrumentSettings(
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
     folder = tmp_path_factory.mktemp("dataset")
-    shards = synthetic_videos.write_shards(CONFIG, folder / "render")
-    write_dataset(CONFIG, shards, folder / "sample")
-    return folder / "sample"
+    return synthetic_videos.write_dataset(CONFIG, folder)
 
 
 def train(dataset, out, split="by_simulation", seed=0, frames=6, after_step=None, **changes):
@@ -69,21 +60,7 @@ def train(dataset, out, split="by_simulation", seed=0, frames=6, after_step=None
 def marked(tmp_path_factory):
     """The same dataset with the places of points of the cloth."""
     folder = tmp_path_factory.mktemp("marked")
-    shards = synthetic_videos.write_shards(CONFIG, folder / "render", marked=True)
-    write_dataset(CONFIG, shards, folder / "sample")
-    return folder / "sample"
-
-
-def altered_copy(dataset, folder, change):
-    """A copy of the dataset whose manifest rows went through `change`, with its digest anew."""
-    shutil.copytree(dataset, folder)
-    table = pq.read_table(folder / "manifest.parquet")
-    rows = table.to_pylist()
-    change(rows)
-    changed = pa.Table.from_pylist(rows, schema=table.schema)
-    changed = attach_metadata(changed, {"dataset_digest": dataset_digest(rows)})
-    pq.write_table(changed, folder / "manifest.parquet")
-    return folder
+    return synthetic_videos.write_dataset(CONFIG, folder, marked=True)
 
 
 @pytest.fixture(scope="module")
@@ -193,34 +170,6 @@ def test_a_killed_training_goes_on_to_the_same_bits(dataset, undisturbed, tmp_pa
         assert (undisturbed / name).read_bytes() == (tmp_path / name).read_bytes(), name
 
 
-@pytest.mark.slow
-def test_how_often_checkpoints_are_written_may_change(dataset, undisturbed, tmp_path, capsys):
-    def kill(progress):
-        if progress.step == 2:
-            raise KilledError
-
-    with pytest.raises(KilledError):
-        train(dataset, tmp_path, after_step=kill, **FEW)
-    train(dataset, tmp_path, **{**FEW, "checkpoint_interval_s": 1e3})
-    assert "continuing from" in capsys.readouterr().err
-    weights = load_instrument(tmp_path).networks[0].state_dict()
-    for name, value in load_instrument(undisturbed).networks[0].state_dict().items():
-        assert torch.equal(value, weights[name]), name
-
-
-def test_a_loss_that_is_no_number_stops_it(dataset, tmp_path, monkeypatch):
-    monkeypatch.setattr(training_module, "learning_rate", lambda settings, done: 1e30)
-    with pytest.raises(DivergedError, match="the loss became nan in epoch 1, step"):
-        train(dataset, tmp_path)
-    assert not (tmp_path / "instrument.safetensors").exists()
-
-
-def test_a_training_that_learns_nothing_writes_nothing(dataset, tmp_path):
-    with pytest.raises(PlateauError, match=r"still .* at chance"):
-        train(dataset, tmp_path, epochs=1, learning_rate=1e-9)
-    assert not (tmp_path / "instrument.safetensors").exists()
-
-
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
@@ -259,7 +208,11 @@ def leaking(rows):
 def test_what_cannot_be_learnt_stops_the_command_with_one_line(
     dataset, tmp_path, capsys, change, settings, code, words
 ):
-    data = dataset if change is None else altered_copy(dataset, tmp_path / "data", change)
+    data = (
+        dataset
+        if change is None
+        else synthetic_videos.altered_copy(dataset, tmp_path / "data", change)
+    )
     section = InstrumentSettings(**{**SETTINGS.model_dump(), "epochs": 1, **settings})
     config = CONFIG.model_copy(update={"instrument": section})
     write_config(config, tmp_path / "c.json")

@@ -13,12 +13,10 @@ from safetensors.torch import save_file
 from support import synthetic_videos
 
 from slipstitch.base.errors import BadInput
-from slipstitch.base.provenance import attach_metadata, read_sidecar
+from slipstitch.base.provenance import read_sidecar
 from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.config.train import TrainSettings
-from slipstitch.dataset.dataset import write_dataset
-from slipstitch.dataset.manifest import dataset_digest
 from slipstitch.dataset.videos import read_videos
 from slipstitch.learning.lrcn_model import TRUE, load_model
 from slipstitch.learning.lrcn_training import train_network
@@ -32,9 +30,7 @@ VIEWS = ["calibrated", "side"]
 @pytest.fixture(scope="module")
 def dataset(tmp_path_factory):
     folder = tmp_path_factory.mktemp("dataset")
-    shards = synthetic_videos.write_shards(CONFIG, folder / "render")
-    write_dataset(CONFIG, shards, folder / "sample")
-    return folder / "sample"
+    return synthetic_videos.write_dataset(CONFIG, folder)
 
 
 def train(dataset, out, network="friction_baseline", split="by_simulation", seed=0, **options):
@@ -64,21 +60,6 @@ def material(dataset, tmp_path_factory):
     """A trained material network of the split by simulation."""
     folder = tmp_path_factory.mktemp("material")
     train(dataset, folder, "material_baseline")
-    return folder
-
-
-def altered_copy(dataset, folder, change, renew_digest=True):
-    """A copy of the dataset whose manifest rows went through `change`."""
-    folder.mkdir()
-    for path in dataset.iterdir():
-        (folder / path.name).write_bytes(path.read_bytes())
-    table = pq.read_table(folder / "manifest.parquet")
-    rows = table.to_pylist()
-    change(rows)
-    changed = pa.Table.from_pylist(rows, schema=table.schema)
-    if renew_digest:
-        changed = attach_metadata(changed, {"dataset_digest": dataset_digest(rows)})
-    pq.write_table(changed, folder / "manifest.parquet")
     return folder
 
 
@@ -159,7 +140,7 @@ def test_a_training_goes_on_elsewhere_to_the_same_bits(dataset, tmp_path):
     few = {"epochs_per_cycle": 1, "plateau_margin": None, "checkpoint_interval_s": 0.0}
     with pytest.raises(KeyboardInterrupt):
         train(dataset, tmp_path / "here", changes=few, after_step=kill)
-    elsewhere = altered_copy(dataset, tmp_path / "copy", lambda rows: None)
+    elsewhere = synthetic_videos.altered_copy(dataset, tmp_path / "copy", lambda rows: None)
     (tmp_path / "there").mkdir()
     shutil.copy(tmp_path / "here/checkpoint.safetensors", tmp_path / "there")
     steps = []
@@ -227,30 +208,35 @@ def test_equal_seeds_give_equal_files_and_other_seeds_other_weights(dataset, tmp
 
 
 @pytest.mark.default_cases(1)
-@pytest.mark.parametrize("steps", [1, 5, 13])
-@pytest.mark.parametrize("changes", [{}, {"precision": "bfloat16"}], ids=["float32", "bfloat16"])
-def test_a_killed_training_goes_on_to_the_same_bits(dataset, tmp_path, steps, changes):
-    few = {"epochs_per_cycle": 2, "plateau_margin": None, "checkpoint_interval_s": 0.0, **changes}
-    train(dataset, tmp_path / "undisturbed", changes=few)
-
-    done = 0
+@pytest.mark.parametrize(
+    ("steps", "precision", "interval_s"),
+    [(1, "float32", 0.0), (5, "bfloat16", 0.0), (13, "float32", 1e3)],
+)
+def test_a_killed_training_goes_on_to_the_same_bits(
+    dataset, tmp_path, capsys, steps, precision, interval_s
+):
+    """Also where checkpoints are to be written less often than before."""
+    few = {"epochs_per_cycle": 2, "plateau_margin": None, "precision": precision}
+    few["checkpoint_interval_s"] = 0.0
+    whole, killed = tmp_path / "undisturbed", tmp_path / "killed"
+    train(dataset, whole, changes=few)
+    left = iter(range(steps - 1, -1, -1))
 
     def kill(_):
-        nonlocal done
-        done += 1
-        if done == steps:
+        if not next(left, True):
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        train(dataset, tmp_path / "killed", changes=few, after_step=kill)
-    assert (tmp_path / "killed" / "checkpoint.safetensors").exists()
-    assert not (tmp_path / "killed" / "model.safetensors").exists()
-    train(dataset, tmp_path / "killed", changes=few, after_step=kill)
-    for file in ("model.safetensors", "history.csv"):
-        assert (tmp_path / "killed" / file).read_bytes() == (
-            tmp_path / "undisturbed" / file
-        ).read_bytes()
-    assert not (tmp_path / "killed" / "checkpoint.safetensors").exists()
+        train(dataset, killed, changes=few, after_step=kill)
+    assert (killed / "checkpoint.safetensors").exists()
+    assert not (killed / "model.safetensors").exists()
+    train(dataset, killed, changes=few | {"checkpoint_interval_s": interval_s})
+    assert "continuing from" in capsys.readouterr().err
+    assert (killed / "history.csv").read_bytes() == (whole / "history.csv").read_bytes()
+    weights = load_model(killed).network.state_dict()
+    for name, value in load_model(whole).network.state_dict().items():
+        assert torch.equal(value, weights[name]), name
+    assert not (killed / "checkpoint.safetensors").exists()
 
 
 @pytest.mark.default_cases(1)
@@ -265,16 +251,6 @@ def test_a_checkpoint_of_another_training_is_not_used(dataset, tmp_path, capsys,
     train(dataset, tmp_path / "fresh", changes=few)
     weights = "model.safetensors"
     assert (tmp_path / weights).read_bytes() == (tmp_path / "fresh" / weights).read_bytes()
-
-
-def test_how_often_checkpoints_are_written_may_change(dataset, tmp_path, capsys):
-    few = {"epochs_per_cycle": 1, "plateau_margin": None}
-
-    with pytest.raises(KeyboardInterrupt):
-        often = {**few, "checkpoint_interval_s": 0.0}
-        train(dataset, tmp_path, changes=often, after_step=kill)
-    train(dataset, tmp_path, changes={**few, "checkpoint_interval_s": 1e3})
-    assert "continuing from" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("part", ["progress", "identity", "weights", "shape", "all"])
@@ -302,21 +278,23 @@ def test_a_checkpoint_altered_in_any_part_is_said_and_not_used(dataset, tmp_path
     assert "no readable checkpoint; starting from scratch" in capsys.readouterr().err
 
 
-def test_a_network_that_learns_nothing_fails_and_writes_no_model(dataset, tmp_path):
-    with pytest.raises(PlateauError, match=r"still .*, at chance \(0\.69"):
-        train(dataset, tmp_path, changes={"learning_rate": 1e-9})
+@pytest.mark.parametrize(
+    ("learning_rate", "given_up_after", "error", "words"),
+    [
+        (1e-9, None, PlateauError, r"still .*, at chance \(0\.69"),
+        (1e-9, 3, PlateauError, "after 3 epochs"),
+        (1e38, None, DivergedError, "the loss became nan"),
+    ],
+)
+def test_a_network_that_learns_nothing_fails_and_writes_no_model(
+    dataset, tmp_path, monkeypatch, learning_rate, given_up_after, error, words
+):
+    if given_up_after:
+        monkeypatch.setattr("slipstitch.learning.lrcn_training.PLATEAU_EPOCHS", given_up_after)
+    changes = {"learning_rate": learning_rate, "epochs_per_cycle": 3}
+    with pytest.raises(error, match=words):
+        train(dataset, tmp_path, changes=changes)
     assert not (tmp_path / "model.safetensors").exists()
-
-
-def test_a_training_at_chance_is_given_up_early(dataset, tmp_path, monkeypatch):
-    monkeypatch.setattr("slipstitch.learning.lrcn_training.PLATEAU_EPOCHS", 3)
-    with pytest.raises(PlateauError, match="after 3 epochs"):
-        train(dataset, tmp_path, seed=1, changes={"learning_rate": 1e-9})
-
-
-def test_a_loss_that_is_no_number_stops_the_training(dataset, tmp_path):
-    with pytest.raises(DivergedError, match="the loss became nan"):
-        train(dataset, tmp_path, changes={"learning_rate": 1e38})
 
 
 def leak(rows):
@@ -353,13 +331,15 @@ def empty(rows):
 def test_a_dataset_that_does_not_fit_is_refused(
     dataset, tmp_path, change, renew_digest, options, words
 ):
-    changed = altered_copy(dataset, tmp_path / "data", change or (lambda rows: None), renew_digest)
+    changed = synthetic_videos.altered_copy(
+        dataset, tmp_path / "data", change or (lambda rows: None), renew_digest
+    )
     with pytest.raises(BadInput, match=words):
         train(changed, tmp_path / "out", **options)
 
 
 def test_swapped_images_are_noticed(dataset, tmp_path):
-    swapped = altered_copy(dataset, tmp_path / "swapped", lambda rows: None)
+    swapped = synthetic_videos.altered_copy(dataset, tmp_path / "swapped", lambda rows: None)
     path = sorted(swapped.glob("m*.parquet"))[0]
     table = pq.read_table(path)
     rows = table.to_pylist()
@@ -370,7 +350,7 @@ def test_swapped_images_are_noticed(dataset, tmp_path):
 
 
 def test_a_missing_file_of_the_dataset_is_named(dataset, tmp_path):
-    partial = altered_copy(dataset, tmp_path / "partial", lambda rows: None)
+    partial = synthetic_videos.altered_copy(dataset, tmp_path / "partial", lambda rows: None)
     path = sorted(partial.glob("m*.parquet"))[0]
     path.unlink()
     with pytest.raises(BadInput, match=f"{path.name}: no such file"):

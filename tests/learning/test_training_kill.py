@@ -15,7 +15,6 @@ from support import synthetic_videos
 from slipstitch.base.provenance import read_sidecar
 from slipstitch.cli.main import main
 from slipstitch.config import write_config
-from slipstitch.dataset.dataset import write_dataset
 from slipstitch.learning.checkpoint import CHECKPOINT
 from slipstitch.report.cost import SAID_CPU_TIME
 
@@ -47,8 +46,7 @@ CONFIG = SYNTHETIC.config(
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("training")
-    shards = SYNTHETIC.write_shards(CONFIG, folder / "render")
-    write_dataset(CONFIG, shards, folder / "sample")
+    synthetic_videos.write_dataset(CONFIG, folder)
     write_config(CONFIG, folder / "config.json")
     return folder
 

@@ -5,6 +5,7 @@ friction coefficient; its height depends on the material; replicates jitter both
 something to learn, and a network that learns nothing cannot pass.
 """
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +14,8 @@ import pyarrow.parquet as pq
 
 from slipstitch.base.provenance import attach_metadata
 from slipstitch.config import Config, resolve_config
+from slipstitch.dataset import dataset
+from slipstitch.dataset.manifest import dataset_digest
 from slipstitch.design.grid import films, simulations, textures, viewpoints
 from slipstitch.images.encoding import encode_png
 from slipstitch.images.image_shards import SCHEMA
@@ -116,3 +119,24 @@ def write_shards(
             pq.write_table(table, path)
             paths.append(path)
     return paths
+
+
+def write_dataset(config: Config, folder: Path, marked: bool = False) -> Path:
+    """Write the shards and the dataset of them, ``folder/sample``."""
+    dataset.write_dataset(
+        config, write_shards(config, folder / "render", marked), folder / "sample"
+    )
+    return folder / "sample"
+
+
+def altered_copy(sample: Path, folder: Path, change, renew_digest: bool = True) -> Path:
+    """Copy a dataset; its manifest rows go through `change`."""
+    shutil.copytree(sample, folder)
+    table = pq.read_table(folder / "manifest.parquet")
+    rows = table.to_pylist()
+    change(rows)
+    changed = pa.Table.from_pylist(rows, schema=table.schema)
+    if renew_digest:
+        changed = attach_metadata(changed, {"dataset_digest": dataset_digest(rows)})
+    pq.write_table(changed, folder / "manifest.parquet")
+    return folder

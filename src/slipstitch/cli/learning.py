@@ -228,7 +228,7 @@ def evaluate(arguments: Arguments) -> None:
     print(*test_set_lines(metrics), sep="\n")
 
 
-def _captures(config, arguments: Arguments, trained) -> None:
+def _captures(arguments: Arguments, trained) -> None:
     """Evaluate on captures; print one line per model and subset."""
     from slipstitch.film.captures_evaluation import write_captures_evaluation
     from slipstitch.learning.evaluation.metrics import capture_lines

@@ -108,48 +108,31 @@ class Run:
 
 
 class Learner:
-    """A network with the videos that train it; the base of every network's own.
+    """A network with the videos that train it; the base of every network's own."""
 
-    Attributes
-    ----------
-    stage : str
-        Whose code and settings the training depends on.
-    name : str
-        Names the training in messages.
-    settings : pydantic model
-        With ``batch_size``, ``checkpoint_interval_s``, ``plateau_margin`` and ``precision``.
-    network : nn.Module
-    training : ndarray of bool, shape (n,)
-        Which of the videos train; the others validate.
-    bfloat16 : bool
-        Whether convolutions are derived in bfloat16.
-    optimizer : torch.optim.Optimizer
-    phases : sequence of Phase
-        The schedule.
-    chance_loss : float
-        Loss of the best guess that ignores the video, as ``train_loss`` counts it.
-    gradient_norm_max : float or None
-        Gradients are clipped to it.
-    plateau_window : int
-        Last epochs over which the loss is averaged before it is compared with chance.
-    plateau_epochs : int or None
-        Epochs after which it is compared for the first time; None: in the end only.
-    diverged_hint, plateau_hint : str
-        Which settings to look at, for the messages.
-    """
-
+    #: Whose code and settings the training depends on.
     stage: str
+    #: Names the training in messages.
     name: str
+    #: With ``batch_size``, ``checkpoint_interval_s``, ``plateau_margin`` and ``precision``.
     settings: Any
     network: nn.Module
+    #: Which of the videos train, bool of shape (n,); the others validate.
     training: np.ndarray
+    #: Whether convolutions are derived in bfloat16.
     bfloat16: bool
     optimizer: torch.optim.Optimizer
+    #: The schedule.
     phases: Sequence[Phase]
+    #: Loss of the best guess that ignores the video, as ``train_loss`` counts it.
     chance_loss: float
+    #: Gradients are clipped to it.
     gradient_norm_max: float | None = None
+    #: Last epochs over which the loss is averaged before it is compared with chance.
     plateau_window: int = 1
+    #: Epochs after which it is compared for the first time; None: in the end only.
     plateau_epochs: int | None = None
+    #: Which settings to look at, for the messages.
     diverged_hint: str
     plateau_hint: str
 
@@ -398,10 +381,7 @@ def simulations(videos: Videos, chosen: np.ndarray) -> set[str]:
 
 
 def curve(values: Sequence[float], width: int = 16) -> str:
-    """Values as a row of bars from the lowest to the highest, averaged to at most `width`.
-
-    Values that are not finite are shown as a gap; equal values as the lowest bar.
-    """
+    """Return bars from the lowest value to the highest, averaged to `width`; a gap for NaN."""
     if not values:
         return ""
     count = min(width, len(values))

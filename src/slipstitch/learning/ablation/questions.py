@@ -164,19 +164,18 @@ def _floors(videos: Candidates, generator: np.random.Generator) -> Selection:
             mixed.append(new)
         mixed += kept
     dealt = videos.dealt(only + mixed, generator)
+
+    def tests(mirroring: bool) -> Videos:
+        return videos.tests(
+            lambda row: row["friction_id"] in frictions and _mirrors(row) == mirroring
+        )
+
     return Selection(
         {
             name: videos.ids({(row["simulation"], dealt[row["simulation"]]) for row in rows})
             for name, rows in (("matte", only), ("mixed", mixed))
         },
-        {
-            f"{name} floors": videos.tests(
-                lambda row, mirroring=mirroring: (
-                    row["friction_id"] in frictions and _mirrors(row) == mirroring
-                )
-            )
-            for name, mirroring in (("matte", False), ("mirroring", True))
-        },
+        {"matte floors": tests(False), "mirroring floors": tests(True)},
         {"exchanged": sum(map(_mirrors, mixed)), "all": len(mixed)},
     )
 

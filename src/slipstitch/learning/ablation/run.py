@@ -145,10 +145,17 @@ def run_case(
     result["stayed_at_chance"] = _at_chance(model, margin)
     if isinstance(model, LrcnModel) and model.material is not None:
         result["material_stayed_at_chance"] = _at_chance(model.material, margin)
-    tested = frozenset().union(*videos.tests.values())
-    test_videos = read_videos(dataset, lambda row: row["video"] in tested)
-    predictions = model.predict(test_videos)
-    result["predictions"] = [
+    return result | {"predictions": _predictions(model, dataset, videos.tests)}
+
+
+def _predictions(
+    model: LrcnModel | Instrument, dataset: str | os.PathLike, tests: dict[str, frozenset[str]]
+) -> list[dict[str, Any]]:
+    """Predictions for the videos of some test sets."""
+    tested = frozenset().union(*tests.values())
+    videos = read_videos(dataset, lambda row: row["video"] in tested)
+    predictions = model.predict(videos)
+    return [
         {
             "tested_on": name,
             "video": row["video"],
@@ -156,11 +163,10 @@ def run_case(
             "true": row["friction"],
             "predicted": prediction.friction_coefficient,
         }
-        for name, ids in videos.tests.items()
-        for row, prediction in zip(test_videos.rows, predictions, strict=True)
+        for name, ids in tests.items()
+        for row, prediction in zip(videos.rows, predictions, strict=True)
         if row["video"] in ids
     ]
-    return result
 
 
 def _planned(config: Config, variant: Variant, views: list[str]) -> list[Phase]:

@@ -23,7 +23,6 @@ from slipstitch.config.train import TRAINED_ON
 from slipstitch.dataset.manifest import MANIFEST, read_manifest
 from slipstitch.dataset.videos import Videos, read_videos, takes_part
 from slipstitch.learning.classes import classes_of
-from slipstitch.learning.evaluation.metrics import check_probabilities
 from slipstitch.learning.evaluation.probes import probes
 from slipstitch.learning.evaluation.scores import (
     AVERAGE,
@@ -111,7 +110,8 @@ def prediction_row(
         true = {"true": row["friction_id"], "true_value": row["friction"]}
         mu = prediction.friction_coefficient
         predicted = min(classes, key=lambda of_class: abs(of_class["value"] - mu))["id"]
-    check_probabilities(np.array([shares]), np.zeros(1, int))
+    if not np.isfinite(shares).all():
+        raise BadInput(f"{network}: a prediction for {row['video']} is no number")
     low, high = prediction.interval_90 or (None, None)
     return {
         **{name: row[name] for name in ("video", "simulation", "texture", "viewpoint")},

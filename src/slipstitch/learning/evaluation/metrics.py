@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slipstitch.base.errors import BadInput
 from slipstitch.base.page.wording import number, percent
 from slipstitch.learning.instrument.conformal import covered
 
@@ -179,32 +178,6 @@ def scores_of(
         for metric in METRICS
         if metric.kind in kinds and (table is None or table in metric.tables)
     }
-
-
-def check_probabilities(probabilities: np.ndarray, truth: np.ndarray) -> None:
-    """Refuse arrays that are no predictions: wrong shape, not finite, not summing to one.
-
-    Parameters
-    ----------
-    probabilities : ndarray, shape (n, classes)
-    truth : ndarray of int, shape (n,)
-
-    Raises
-    ------
-    BadInput
-    """
-    if probabilities.ndim != 2 or truth.shape != probabilities.shape[:1] or not len(truth):
-        raise BadInput(
-            f"predictions of shape {probabilities.shape} do not match {truth.shape} true classes"
-        )
-    if (
-        not np.isfinite(probabilities).all()
-        or probabilities.min() < 0
-        or abs(probabilities.sum(1) - 1).max() > 1e-4
-    ):
-        raise BadInput("predictions must be probabilities: finite, non-negative, with sum 1")
-    if truth.min() < 0 or truth.max() >= probabilities.shape[1]:
-        raise BadInput(f"a true class is outside 0 ... {probabilities.shape[1] - 1}")
 
 
 def distance(friction: ArrayLike, reference: ArrayLike, error: ArrayLike) -> np.ndarray:

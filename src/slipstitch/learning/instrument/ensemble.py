@@ -79,6 +79,7 @@ _COMMON = (
     "chance_loss",
     "use",
 )
+_SUMMED = ("parameters", "multiply_accumulates_per_frame")
 
 
 def combine_instruments(
@@ -129,18 +130,7 @@ def combine_instruments(
     trained = [load_instrument(member) for member in members]
     _check_alike(trained, members, split)
     networks = tuple(_rounded(instrument) for instrument in trained)
-    card: dict[str, Any] = {name: trained[0].card.get(name) for name in _COMMON}
-    card |= {
-        "networks": len(trained),
-        "seeds": [one.card["seed"] for one in trained],
-        "members_sha256": [file_digest(path) for path in weights],
-        "train_loss": [one.card["train_loss"] for one in trained],
-        "parameters": sum(one.card["parameters"] for one in trained),
-        "multiply_accumulates_per_frame": sum(
-            one.card["multiply_accumulates_per_frame"] for one in trained
-        ),
-    }
-    combined = Instrument(networks, card, None)
+    combined = Instrument(networks, _common_card(trained, weights), None)
     alarms = [one.error_bars.alarm for one in trained if one.error_bars]
     held, readings = None, CalibrationReadings([])
     if alarms:
@@ -166,6 +156,18 @@ def combine_instruments(
     record["inputs"] |= _inputs(further, (), 0)
     record["threads"] = threads
     return _write(combined, held, readings, out_dir, record)
+
+
+def _common_card(trained: Sequence[Instrument], weights: Sequence[Path]) -> dict[str, Any]:
+    """The card of an average, as `combine_instruments` says."""
+    cards = [one.card for one in trained]
+    return {name: cards[0].get(name) for name in _COMMON} | {
+        "networks": len(cards),
+        "seeds": [card["seed"] for card in cards],
+        "members_sha256": [file_digest(path) for path in weights],
+        "train_loss": [card["train_loss"] for card in cards],
+        **{name: sum(card[name] for card in cards) for name in _SUMMED},
+    }
 
 
 def recalibrate_instrument(
