@@ -77,6 +77,7 @@ def test_the_files_say_that_they_hold_images_and_where_they_come_from(config, re
 
 def test_places_of_points_go_with_their_frames(config, tmp_path):
     synthetic_videos.write_dataset(config, tmp_path, marked=True)
+    shards = sorted((tmp_path / "render").glob("*.parquet"))
     videos = read_videos(tmp_path / "sample", frames=3)
     known = read_metadata(shards[0])["marked_points_m"]
     of_shard = [

@@ -71,15 +71,13 @@ def keypoints_m(lean: float, lag: float, height: float) -> np.ndarray:
     return np.stack([0.5 * shift, 0.2 * across, 0.5 * (1 - below)], axis=1)
 
 
-def write_shards(
-    config: Config, folder: Path, frames: range | None = None, marked: bool = False
-) -> list[Path]:
+def write_shards(config: Config, folder: Path, marked: bool = False) -> list[Path]:
     """One shard a (simulation, viewpoint), as the render stage lays them out.
 
     With the places of marked points or, as before there were any, without.
     """
     total = config.simulation.frames
-    numbers = frames or range(0, total, total // config.sample.frames_kept)
+    numbers = range(0, total, total // config.sample.frames_kept)
     strongest = max(config.grid.frictions)
     fabrics = config.grid.materials + config.grid.test_materials
     paths = []
