@@ -175,7 +175,7 @@ def test_changed_friction_reruns_its_simulations_only(chain, config):
     ("override", "rerun"),
     [
         ("render={pixels: 48}", AFTER_SIMULATE),
-        ("render={threads: 2}", {"report"}),  # it shows the whole configuration
+        ("publish={name: other}", {"report"}),  # it shows the whole configuration
         ("sample={frames: 7}", AFTER_SIMULATE),
         ("train={learning_rate: 0.5}", {"train", "evaluate", "report"}),
         ("simulation={damping_s: 0.003}", {"calibrate", "simulate"} | AFTER_SIMULATE),
