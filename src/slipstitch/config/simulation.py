@@ -10,7 +10,6 @@ from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from slipstitch.config.catalogue import fabric_names
 from slipstitch.config.section import Fabrics, Frictions, RecordedSection, Section
 
 SIDE_M = 0.20  # of the square of cloth
@@ -322,7 +321,23 @@ class ConvergenceSettings(Section):
     the tolerance a sixteenth, and the stiffness of folds implicit.
     """
 
-    materials: Fabrics = Field(fabric_names(), min_length=1, description="fabrics of the catalogue")
+    # By name: a fabric that is added to the catalogue changes no configuration.
+    materials: Fabrics = Field(
+        (
+            "ivory-rib-knit",
+            "pink-ribbon-brown",
+            "white-dots-on-blk",
+            "navy-sparkle-sweat",
+            "camel-ponte-roma",
+            "gray-interlock",
+            "11oz-black-denim",
+            "white-swim-solid",
+            "tango-red-jet-set",
+            "royal-target",
+        ),
+        min_length=1,
+        description="fabrics of the catalogue",
+    )
     frictions: Frictions = Field(
         (0.1, 0.5, 1.5),
         min_length=1,
