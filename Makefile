@@ -16,7 +16,7 @@ help:
 	@echo 'make taste      measure a film of dragged cloth that comes with the project; open taste.html'
 	@echo 'make all        the whole chain at the scale of config.yaml, on CORES=$(CORES) cores'
 	@echo 'make test       lint and the quick tests (make test TESTS=tests/physics for a subset)'
-	@echo 'make test-all   lint and all tests; .ci/run calls it'
+	@echo 'make test-all   lint and all tests'
 	@echo 'make lint       ruff, snakefmt and mypy, check only'
 	@echo 'make format     apply ruff and snakefmt; regenerate the JSON schema'
 	@echo 'make results    write docs/results.md and the card of the instrument from published files'
