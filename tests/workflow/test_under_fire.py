@@ -67,7 +67,7 @@ def test_a_disk_that_fills_up_during_a_run_and_is_emptied_again(undisturbed, ref
     kills.remove(undisturbed, "simulate_one")
     target = undisturbed.folder / "results/simulate"
     kept_kib = sum(path.stat().st_size // 1024 + 4 for path in target.iterdir())
-    with small_disk(tmp_path / "disk", f"{kept_kib + 64}k") as disk:
+    with small_disk(tmp_path / "disk", f"{kept_kib + 24}k") as disk:
         shutil.copytree(target, disk, dirs_exist_ok=True)
         kept = target.with_name("simulate_kept")
         target.rename(kept)
