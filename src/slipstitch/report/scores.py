@@ -215,7 +215,7 @@ def alarms(scores: Scores) -> Table | None:
     """Share of videos that raise the out-of-distribution alarm, a row an instrument."""
     head, rows = [], []
     for split, name in SPLIT_NAMES.items():
-        for network in (TRAINING, AVERAGE, SHIPPED):
+        for network in (TRAINING, AVERAGE):
             for seed, rates in (scores.detail(split, network).get("alarms") or {}).items():
                 head = ["trained", *(kind.replace("_", " ") for kind in rates)]
                 title = f"{NETWORK_TITLES[network]} {name}, seed {seed}"

@@ -30,6 +30,7 @@ from slipstitch.learning.evaluation.scores import (
     PROBE,
     SCHEMA,
     SHIPPED,
+    TRAINING,
     details_of_table,
     metrics_of_table,
     place_in_tables,
@@ -174,8 +175,7 @@ def predicted_table(
                 prediction_row(row, network, prediction, classes) | named
                 for row, prediction in zip(part.rows, model.predict(part), strict=True)
             ]
-            own = isinstance(model, Instrument) and network != SHIPPED
-            if own and test.name in TRAINED_ON:
+            if network in (TRAINING, AVERAGE) and test.name in TRAINED_ON:
                 of_network = table.alarms.setdefault(test.name, {}).setdefault(network, {})
                 name = ENSEMBLE if seed is None else str(seed)
                 of_network[name] = alarm_rates(model, whole)
