@@ -26,27 +26,21 @@ _OWN_INSTRUMENT = ("seeds", "epochs")
 class AblateSettings(Section):
     """Questions, networks and budget."""
 
-    questions: list[Question] | None = Field(
-        None, min_length=1, description="questions to answer; null: all that the dataset can answer"
-    )
-    seeds: Seeds = Field([0, 1, 2], description="seeds; every variant is trained once per seed")
-    networks: list[Literal["lrcn", "instrument"]] = Field(
-        ["lrcn", "instrument"],
-        min_length=1,
-        description="networks; the instrument is used only for diversity and floors, the other "
-        "choices do not apply to it",
-    )
-    passes: int = Field(
-        30, ge=1, description="passes through the training videos, for every variant of an LRCN"
-    )
-    instrument_passes: int = Field(50, ge=1, description="the same for an instrument")
-    train: dict[str, Any] = Field(
-        default_factory=dict,
-        description="overrides of keys in the section `train`, e.g. width, pixels",
-    )
-    instrument: dict[str, Any] = Field(
-        default_factory=dict, description="overrides of keys in the section `instrument`"
-    )
+    questions: list[Question] | None = Field(None, min_length=1)
+    """questions to answer; null: all that the dataset can answer"""
+    seeds: Seeds = [0, 1, 2]
+    """seeds; every variant is trained once per seed"""
+    networks: list[Literal["lrcn", "instrument"]] = Field(["lrcn", "instrument"], min_length=1)
+    """networks; the instrument is used only for diversity and floors, the other choices do not
+    apply to it"""
+    passes: int = Field(30, ge=1)
+    """passes through the training videos, for every variant of an LRCN"""
+    instrument_passes: int = Field(50, ge=1)
+    """the same for an instrument"""
+    train: dict[str, Any] = Field(default_factory=dict)
+    """overrides of keys in the section `train`, e.g. width, pixels"""
+    instrument: dict[str, Any] = Field(default_factory=dict)
+    """overrides of keys in the section `instrument`"""
 
     @property
     def asked(self) -> tuple[Question, ...]:

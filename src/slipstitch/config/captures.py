@@ -9,12 +9,14 @@ from slipstitch.config.section import Fabric, Section
 class PairSettings(Section):
     """A surrogate fabric-substrate pair."""
 
-    material: Fabric = Field(description="a fabric of the catalogue")
-    substrate: str = Field(description="a floor of the catalogue")
-    friction: float = Field(
-        gt=0, le=3, description="friction coefficient of the pair, off the training grid"
-    )
-    texture: str = Field("chevron", description="texture of the fabric")
+    material: Fabric
+    """a fabric of the catalogue"""
+    substrate: str
+    """a floor of the catalogue"""
+    friction: float = Field(gt=0, le=3)
+    """friction coefficient of the pair, off the training grid"""
+    texture: str = "chevron"
+    """texture of the fabric"""
 
     @field_validator("substrate")
     @classmethod
@@ -43,12 +45,10 @@ _PAIRS = [
 class CaptureSettings(Section):
     """Captures of the target `captures`, and the generation of surrogates."""
 
-    table: str | None = Field(
-        None, description="captures table of a real bench; null: surrogates are generated"
-    )
-    angles: str | None = Field(
-        None, description="slip angles of a real bench, for rows of the table without mu_ref"
-    )
+    table: str | None = None
+    """captures table of a real bench; null: surrogates are generated"""
+    angles: str | None = None
+    """slip angles of a real bench, for rows of the table without mu_ref"""
     pairs: list[PairSettings] = Field(
         [
             PairSettings(material=fabric, substrate=floor, friction=friction, texture=texture)
@@ -56,27 +56,18 @@ class CaptureSettings(Section):
         ],
         min_length=1,
         max_length=100,
-        description="surrogates: the pairs",
     )
-    repeats: int = Field(5, ge=1, le=99, description="surrogates: videos of each pair")
-    vertices_per_side: int = Field(
-        51,
-        ge=5,
-        le=401,
-        description="surrogates: vertices per side of the mesh; finer than in training",
-    )
-    time_step_s: float = Field(
-        0.042, gt=0, le=0.1, description="surrogates: largest time step; shorter than in training"
-    )
-    width_px: int = Field(
-        256,
-        ge=64,
-        le=1920,
-        description="surrogates: width of the video; its height is three quarters",
-    )
-    later_every: int = Field(
-        4, ge=1, le=6, description="surrogates: afterwards one frame in this many is recorded"
-    )
+    """surrogates: the pairs"""
+    repeats: int = Field(5, ge=1, le=99)
+    """surrogates: videos of each pair"""
+    vertices_per_side: int = Field(51, ge=5, le=401)
+    """surrogates: vertices per side of the mesh; finer than in training"""
+    time_step_s: float = Field(0.042, gt=0, le=0.1)
+    """surrogates: largest time step; shorter than in training"""
+    width_px: int = Field(256, ge=64, le=1920)
+    """surrogates: width of the video; its height is three quarters"""
+    later_every: int = Field(4, ge=1, le=6)
+    """surrogates: afterwards one frame in this many is recorded"""
 
     @model_validator(mode="after")
     def _pairs_differ(self) -> "CaptureSettings":

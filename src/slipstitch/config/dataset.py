@@ -15,35 +15,24 @@ from slipstitch.config.section import Section
 class SampleSettings(Section):
     """Number of frames per video, and the test videos."""
 
-    frames: int = Field(30, ge=2, le=10000, description="frames of a video, at regular intervals")
-    phases: int = Field(
-        1,
-        ge=1,
-        le=100,
-        description="number of phases: this many times the frames are kept, at equal intervals; "
-        "the instrument draws its phase at random in training, everything else uses the first",
-    )
-    validation_fraction: float = Field(
-        0.1, ge=0.0, lt=1.0, description="share of the videos (or replicates) for validation"
-    )
-    test_fraction: float = Field(
-        0.1, gt=0.0, lt=1.0, description="share of the videos (or replicates) for testing"
-    )
-    validation_materials: list[str] = Field(
-        [],
-        description="fabrics of the grid that by_simulation keeps from training and testing: all "
-        "their simulations are for validation, so that error bars allow for an unseen fabric",
-    )
-    train_only_frictions: list[float] = Field(
-        [],
-        description="coefficients of the grid that by_simulation never holds out: they train, so "
-        "that those next to them are not the end of what a network has seen",
-    )
-    hold_out: Literal["auto", "replicate", "pair"] = Field(
-        "auto",
-        description="what by_simulation holds out: the last replicates of every "
-        "(material, friction) pair, or whole pairs; auto: replicates if there are at least two",
-    )
+    frames: int = Field(30, ge=2, le=10000)
+    """frames of a video, at regular intervals"""
+    phases: int = Field(1, ge=1, le=100)
+    """number of phases: this many times the frames are kept, at equal intervals; the instrument
+    draws its phase at random in training, everything else uses the first"""
+    validation_fraction: float = Field(0.1, ge=0.0, lt=1.0)
+    """share of the videos (or replicates) for validation"""
+    test_fraction: float = Field(0.1, gt=0.0, lt=1.0)
+    """share of the videos (or replicates) for testing"""
+    validation_materials: list[str] = []
+    """fabrics of the grid that by_simulation keeps from training and testing: all their simulations
+    are for validation, so that error bars allow for an unseen fabric"""
+    train_only_frictions: list[float] = []
+    """coefficients of the grid that by_simulation never holds out: they train, so that those next
+    to them are not the end of what a network has seen"""
+    hold_out: Literal["auto", "replicate", "pair"] = "auto"
+    """what by_simulation holds out: the last replicates of every (material, friction) pair, or
+    whole pairs; auto: replicates if there are at least two"""
 
     @property
     def frames_kept(self) -> int:
@@ -60,47 +49,35 @@ class SampleSettings(Section):
 class ReleaseSettings(Section):
     """Name and layout of a released dataset."""
 
-    name: str = Field(
-        "slipstitch-cloth-friction",
-        pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$",
-        description="name of the dataset: letters, digits, dot, dash, underscore",
-    )
-    version: str = Field(
-        "0.1.0", pattern=r"^\d+\.\d+\.\d+$", description="version of the dataset, MAJOR.MINOR.PATCH"
-    )
-    shard_mb: float = Field(256.0, gt=0.0, le=5000.0, description="maximum size of an image shard")
-    unseen_share: float = Field(
-        0.2,
-        gt=0.0,
-        lt=1.0,
-        description="share of the fabrics, and of the friction coefficients between the lowest "
-        "and the highest, held out by unseen_fabric and unseen_friction; at least one",
-    )
+    name: str = Field("slipstitch-cloth-friction", pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
+    """name of the dataset: letters, digits, dot, dash, underscore"""
+    version: str = Field("0.1.0", pattern=r"^\d+\.\d+\.\d+$")
+    """version of the dataset, MAJOR.MINOR.PATCH"""
+    shard_mb: float = Field(256.0, gt=0.0, le=5000.0)
+    """maximum size of an image shard"""
+    unseen_share: float = Field(0.2, gt=0.0, lt=1.0)
+    """share of the fabrics, and of the friction coefficients between the lowest and the highest,
+    held out by unseen_fabric and unseen_friction; at least one"""
 
 
 class PublishSettings(Section):
     """What a published run is called."""
 
-    name: str = Field(
-        "demo",
-        pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$",
-        description="folder below results/published: letters, digits, dot, dash, underscore",
-    )
+    name: str = Field("demo", pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")
+    """folder below results/published: letters, digits, dot, dash, underscore"""
 
 
 class CriticiseSettings(Section):
     """The measured cases."""
 
-    cases: tuple[str, ...] = Field(
-        (
-            "data/cases/paper_on_paper",
-            "data/cases/block_on_wood_board",
-            "data/cases/block_on_other_board",
-            "data/cases/surrogate_anisotropic",
-        ),
-        description="case folders (docs/criticise-your-data.md), relative to the working folder, "
-        "or included in the workflow; a folder's name is the case's id",
+    cases: tuple[str, ...] = (
+        "data/cases/paper_on_paper",
+        "data/cases/block_on_wood_board",
+        "data/cases/block_on_other_board",
+        "data/cases/surrogate_anisotropic",
     )
+    """case folders (docs/criticise-your-data.md), relative to the working folder, or included in
+    the workflow; a folder's name is the case's id"""
 
     @field_validator("cases")
     @classmethod

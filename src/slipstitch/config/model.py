@@ -30,7 +30,8 @@ from slipstitch.config.train import BY_SIMULATION, REFLECTIVE, TrainSettings
 class Config(Section):
     """The whole configuration, every key with its value."""
 
-    seed: int = Field(1, ge=0, lt=2**31, description="seed of all random numbers of the chain")
+    seed: int = Field(1, ge=0, lt=2**31)
+    """seed of all random numbers of the chain"""
     grid: GridSettings = Field(default_factory=GridSettings)
     simulation: SimulationSettings = Field(default_factory=SimulationSettings)
     compute: ComputeSettings = Field(default_factory=ComputeSettings)
@@ -116,8 +117,10 @@ def schema_text() -> str:
 
     ``slipstitch schema > workflow/schemas/config.schema.json`` regenerates the file.
     """
-    schema = {
-        "$schema": "https://json-schema.org/draft/2020-12/schema",
-        **Config.model_json_schema(),
-    }
+    schema = Config.model_json_schema()
+    for section in (schema, *schema["$defs"].values()):
+        for key in section["properties"].values():
+            if "description" in key:  # a text of several lines in the sources
+                key["description"] = " ".join(key["description"].split())
+    schema = {"$schema": "https://json-schema.org/draft/2020-12/schema", **schema}
     return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"

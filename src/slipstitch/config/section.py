@@ -10,9 +10,11 @@ from slipstitch.config.former import without_former_keys
 
 
 class Section(BaseModel):
-    """Keys that belong together: none may be unknown, none changes once it is read."""
+    """Keys that belong together, each with its meaning below: none may be unknown, none changes."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, use_attribute_docstrings=True
+    )
 
 
 class RecordedSection(Section):
