@@ -46,7 +46,6 @@ def progress(
 
     Parameters
     ----------
-    items : iterable, optional
     description : str, optional
         What goes in front.
     unit : str

@@ -41,10 +41,7 @@ def copy_parts(source: Path, target: Path) -> None:
 def lay_out(folder: Path) -> None:
     """Make a workflow folder, in which ``snakemake`` is run.
 
-    Raises
-    ------
-    BadInput
-        If something of that name is there already.
+    BadInput if something of that name is there already.
     """
     there = [part for part in PARTS if (folder / part).exists()]
     if there:

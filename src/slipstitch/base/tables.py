@@ -38,13 +38,8 @@ UNITS = frozenset(_UNIT_WORDS.split())
 class Cells:
     """The cells of a table as text, without what is empty.
 
-    Attributes
-    ----------
-    header : names of the columns.
-    rows : cells of every row, as many as the header has.
-    lines : the number of each row's line in the file.
-    units : unit of each column, '' where no row of units says any.
-    notes : what was assumed, a line each.
+    `lines` has the number of each row's line in the file, `units` the unit of each column, '' where
+    no row of units says any, `notes` what was assumed, a line each.
     """
 
     header: list[str]
@@ -64,18 +59,14 @@ def as_number(text: str) -> float:
 def read_cells(path: str | os.PathLike, known: Collection[str], most_bytes: float) -> Cells:
     """Read a table in whichever dialect it is written.
 
+    BadInput if the file is no table, or may be read in two ways.
+
     Parameters
     ----------
-    path : path
     known : names
         Of columns that it may have: they tell the header from titles, and the separator.
     most_bytes : float
         A larger file is refused.
-
-    Raises
-    ------
-    BadInput
-        If the file is no table, or may be read in two ways.
     """
     text, notes = _decoded(path, most_bytes)
     separator, start, first = _separator(text, known)

@@ -23,10 +23,7 @@ _SCIENTIFIC = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+")
 def read_mapping(path: str | os.PathLike) -> dict[str, Any]:
     """The content of a YAML or JSON file as a mapping.
 
-    Raises
-    ------
-    BadInput
-        If the file is missing, is no YAML, or holds no mapping.
+    BadInput if the file is missing, is no YAML, or holds no mapping.
     """
     content = read_yaml(path)
     if content is None:
@@ -39,10 +36,7 @@ def read_mapping(path: str | os.PathLike) -> dict[str, Any]:
 def calibrated_settings(path: str | os.PathLike) -> dict[str, Any]:
     """Settings of simulations that a calibration has verified.
 
-    Raises
-    ------
-    BadInput
-        If the file is missing, damaged, or no calibration.
+    BadInput if the file is missing, damaged, or no calibration.
     """
     content = read_json(path)
     settings = content.get("settings") if isinstance(content, dict) else None
@@ -167,6 +161,8 @@ def resolve_config(
 ) -> Config:
     """The configuration that mappings make, later ones overriding earlier ones key by key.
 
+    BadInput in one line, for every problem: the source, the key, what is allowed and what it is.
+
     Parameters
     ----------
     *mappings
@@ -175,11 +171,6 @@ def resolve_config(
         Names of the mappings, to say in an error where a key stands.
     words : bool
         Whether numbers may come as strings: ``snakemake --config`` makes them so.
-
-    Raises
-    ------
-    BadInput
-        In one line, for every problem: the source, the key, what is allowed and what it is.
     """
     plain = [_numbers(mapping, words) for mapping in mappings]
     merged: dict[str, Any] = {}
@@ -221,20 +212,16 @@ def load_config(
 ) -> Config:
     """The configuration in YAML or JSON files, later ones overriding earlier ones key by key.
 
+    BadInput as `read_mapping` and `resolve_config`.
+
     Parameters
     ----------
-    *paths
     calibration : path, optional
         Its verified settings of simulations override those of the files.
     overrides : mapping of mappings, optional
         What overrides all that, by the name that an error shall say.
     words : bool
         See `resolve_config`.
-
-    Raises
-    ------
-    BadInput
-        As `read_mapping` and `resolve_config`.
     """
     parts: list[tuple[str, Mapping]] = [(os.fspath(path), read_mapping(path)) for path in paths]
     if calibration:

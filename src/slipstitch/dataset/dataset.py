@@ -45,17 +45,14 @@ def write_dataset(
 ) -> list[dict[str, Any]]:
     """Write ``{simulation}.parquet`` and ``manifest.parquet`` from image shards.
 
+    BadInput if a shard is damaged, a video or frame of the grid is missing, there twice or not of
+    the grid, an image cannot be decoded or has the wrong size, no valid split exists, or something
+    without contact tells the friction coefficient (`slipstitch.dataset.probes`).
+
     Returns
     -------
     list of dict
         The manifest's rows.
-
-    Raises
-    ------
-    BadInput
-        If a shard is damaged, a video or frame of the grid is missing, there twice or not of the
-        grid, an image cannot be decoded or has the wrong size, no valid split exists, or something
-        without contact tells the friction coefficient (`slipstitch.dataset.probes`).
     """
     started = start_clock()
     labels: dict[str, dict[str, dict[str, Any]]] = {one.id: {} for one in simulations(config)}

@@ -32,18 +32,14 @@ class Frame:
 def decode(png: bytes, where: str, pixels: int | None = None) -> np.ndarray:
     """An image file's content as uint8 RGB, shape (pixels, pixels, 3).
 
+    BadInput if it cannot be decoded, is not RGB, not square, or of another size.
+
     Parameters
     ----------
-    png : bytes
     where : str
         What to call the image in an error.
     pixels : int, optional
         Side that it must have; any square by default.
-
-    Raises
-    ------
-    BadInput
-        If it cannot be decoded, is not RGB, not square, or of another size.
     """
     check_image(png, where)
     try:
@@ -71,15 +67,12 @@ def simulations_of(path: str | os.PathLike) -> set[str]:
 def read_shard(path: str | os.PathLike, frames: np.ndarray) -> dict[tuple[str, str, str], list]:
     """The wanted frames of every video in a shard.
 
+    BadInput if the file is damaged, a wanted frame is missing or there twice, or an image is empty.
+
     Returns
     -------
     dict
         (simulation, texture, viewpoint) -> list of `Frame`.
-
-    Raises
-    ------
-    BadInput
-        If the file is damaged, a wanted frame is missing or there twice, or an image is empty.
     """
     table = read_parquet(path, COLUMNS)
     wanted = set(frames.tolist())
@@ -167,6 +160,8 @@ def read_frames(
 ) -> Iterator[tuple[str, int, bytes]]:
     """The images of a file, or of one video in it, in the order in which they were written.
 
+    BadInput if the file is missing, damaged, or lacks a column.
+
     Yields
     ------
     video : str
@@ -174,11 +169,6 @@ def read_frames(
         In the video, from 0.
     png : bytes
         Undecoded; empty where the file has none.
-
-    Raises
-    ------
-    BadInput
-        If the file is missing, damaged, or lacks a column.
     """
     table = read_parquet(path, ["video", "position", "image"])
     if video is not None:

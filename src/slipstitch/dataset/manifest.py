@@ -159,10 +159,7 @@ def write_manifest(
 def read_manifest(dataset: str | os.PathLike) -> tuple[list[dict[str, Any]], str]:
     """Rows and digest of the dataset in a folder.
 
-    Raises
-    ------
-    BadInput
-        If the manifest is missing or damaged, was altered, or its split by simulation leaks.
+    BadInput if the manifest is missing or damaged, was altered, or its split by simulation leaks.
     """
     path = Path(dataset) / MANIFEST
     with open_parquet(path) as file:

@@ -85,12 +85,7 @@ def chance_of(right: np.ndarray, labels: np.ndarray, simulations: Sequence[str])
 def refuse_leak(
     what: str, right: np.ndarray, labels: np.ndarray, simulations: Sequence[str]
 ) -> None:
-    """Refuse videos whose coefficient is told by what must not tell it.
-
-    Raises
-    ------
-    BadInput
-    """
+    """Refuse videos whose coefficient is told by what must not tell it."""
     probability = chance_of(right, labels, simulations)
     if probability < SIGNIFICANCE:
         guess = np.bincount(labels).max() / len(labels)
@@ -159,12 +154,7 @@ def untold_features(
 def check_nothing_told(
     where: str, every: Sequence[Row], frames: np.ndarray, sizes: np.ndarray
 ) -> None:
-    """Refuse a dataset of which a linear probe of `UNTOLD` tells the coefficient, in a split.
-
-    Raises
-    ------
-    BadInput
-    """
+    """Refuse a dataset of which a linear probe of `UNTOLD` tells the coefficient, in a split."""
     for split in probed_splits(every):
         chosen = np.array([is_probed(row, split) for row in every])
         rows = list(compress(every, chosen))

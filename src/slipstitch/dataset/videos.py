@@ -31,7 +31,6 @@ class Videos:
     ----------
     rows : list of dict
         Their rows of the manifest, n of them.
-    pixels : ndarray of uint8, shape (n, frames, side, side, 3)
     digest : str
         Digest of the whole dataset (also of the videos that are not here).
     points_m : ndarray of float32, shape (n, frames, points, 3), optional
@@ -71,6 +70,9 @@ def read_videos(
 ) -> Videos:
     """Decode the chosen videos of a dataset.
 
+    BadInput if a file is missing, damaged or altered, a video has not all its frames in order, or
+    nothing is chosen. Digests of the decoded pixels are compared with the manifest's.
+
     Parameters
     ----------
     dataset : path
@@ -81,12 +83,6 @@ def read_videos(
         Side of the images, if not as rendered; they are averaged down (or blown up) to it.
     frames : int, optional
         Frames to keep of those in the dataset, at regular intervals from the first; all by default.
-
-    Raises
-    ------
-    BadInput
-        If a file is missing, damaged or altered, a video has not all its frames in order, or
-        nothing is chosen. Digests of the decoded pixels are compared with the manifest's.
     """
     every, digest = read_manifest(dataset)
     rows = [row for row in every if chosen(row)]

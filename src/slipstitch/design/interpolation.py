@@ -54,12 +54,7 @@ def interpolations(config: Config) -> dict[tuple[str, str], Interpolation]:
     Of every camera of the family ``bench_1`` ... and every simulation that trains, from
     `FROM_FRICTION` on, a share. The coefficient is drawn between the middles of the intervals to
     the next coefficients at which the simulation's fabric trains, so that the films of a fabric
-    cover all from its first to its last.
-
-    Raises
-    ------
-    BadInput
-        If the grid has no valid split.
+    cover all from its first to its last. BadInput if the grid has no valid split.
     """
     settings = config.render.interpolation
     family = [
@@ -103,7 +98,6 @@ def between(row: Sequence[Simulation], friction: float, height_m: float) -> dict
     ----------
     row : sequence of Simulation
         Of one fabric, by friction coefficient, all below to above `friction`.
-    friction : float
     height_m : float
         Of the clamps while the cloth is dragged.
     """

@@ -8,8 +8,9 @@ from slipstitch.base.errors import BadInput
 def sampled_frames(frames_total: int, frames_sampled: int) -> np.ndarray:
     """Numbers of the frames at regular intervals, the first frame included.
 
-    Frame k of n sampled is ``floor(k frames_total / n)``: where n divides the total (the paper's
-    30 of 300) the interval is exactly regular, otherwise it differs by one frame at most.
+    Frame k of n sampled is ``floor(k frames_total / n)``: where n divides the total (the paper's 30
+    of 300) the interval is exactly regular, otherwise it differs by one frame at most. BadInput if
+    a number is not positive or more frames are asked for than there are.
 
     Parameters
     ----------
@@ -22,11 +23,6 @@ def sampled_frames(frames_total: int, frames_sampled: int) -> np.ndarray:
     -------
     ndarray of int64, shape (frames_sampled,)
         Strictly increasing, starts with 0.
-
-    Raises
-    ------
-    BadInput
-        If a number is not positive or more frames are asked for than there are.
     """
     if not 1 <= frames_sampled <= frames_total:
         raise BadInput(

@@ -26,7 +26,7 @@ SIDES = ("train", "validation", "test")
 def split_by_video(
     videos: Sequence[str], validation_fraction: float, test_fraction: float, seed: int
 ) -> dict[str, str]:
-    """Every video's side, drawn at random.
+    """Every video's side, drawn at random; BadInput with fewer than two videos.
 
     Parameters
     ----------
@@ -34,17 +34,11 @@ def split_by_video(
         Ids; their order does not matter.
     validation_fraction, test_fraction : float
         Shares of the videos, rounded; at least one video tests and one trains.
-    seed : int
 
     Returns
     -------
     dict
         Video id -> train, validation or test.
-
-    Raises
-    ------
-    BadInput
-        With fewer than two videos.
     """
     if len(videos) < 2:
         raise BadInput(f"{len(videos)} video(s): a split by video requires at least 2")
@@ -61,12 +55,7 @@ def sides_of_simulations(config: Config) -> dict[str, str]:
 
     Those of a test-only fabric or friction coefficient are test simulations, those of a fabric for
     validation only are validation simulations, and of the other fabrics those of a coefficient that
-    is never held out train.
-
-    Raises
-    ------
-    BadInput
-        If the grid has no valid split.
+    is never held out train. BadInput if the grid has no valid split.
     """
     grid = simulations(config)
     apart = {
@@ -107,14 +96,14 @@ def split_by_simulation(
     """Every simulation's side; no class goes untrained, no friction is tested more than another.
 
     With replicates, the last ones of every (material, friction) pair are held out (they differ by
-    seeded perturbations only, so which ones does not matter): every pair trains and is tested on
-    an independently set-up bench. Otherwise, whole pairs are held out, in diagonals of the table of
-    materials and frictions: the network has seen each, never both together. They are
-    divided between validation and test for each friction separately, cycling through the materials.
+    seeded perturbations only, so which ones does not matter): every pair trains and is tested on an
+    independently set-up bench. Otherwise, whole pairs are held out, in diagonals of the table of
+    materials and frictions: the network has seen each, never both together. They are divided
+    between validation and test for each friction separately, cycling through the materials.
+    BadInput if holding out would leave a material or a friction coefficient without training.
 
     Parameters
     ----------
-    simulations : iterable of (material_id, friction_id, replicate_id)
     validation_fraction, test_fraction : float
         Shares of the replicates (or materials) of each pair (or friction); rounded, at least one
         is held out and at least one trains.
@@ -127,11 +116,6 @@ def split_by_simulation(
     -------
     dict
         The simulation's triple -> train, validation or test.
-
-    Raises
-    ------
-    BadInput
-        If holding out would leave a material or a friction coefficient without training.
     """
     everything = sorted(set(simulations))
     materials = sorted({material for material, _, _ in everything})
@@ -176,7 +160,6 @@ def _held_pool(
         Number of the coefficient; where the rounds of the materials start.
     fraction : float
         Share to hold out.
-    hold_out : {"replicate", "pair"}
     """
     materials = list(replicates)
     held = _held(len(materials), fraction) if hold_out == "pair" else len(materials)
@@ -218,10 +201,7 @@ def _held(count: int, fraction: float) -> int:
 def check_no_simulation_on_both_sides(simulations: Sequence[str], sides: Sequence[str]) -> None:
     """Refuse a split that tests (or validates) on a simulation that it trains on.
 
-    Raises
-    ------
-    BadInput
-        Names the first such simulation.
+    The error names the first such simulation.
     """
     found: dict[str, set[str]] = defaultdict(set)
     for simulation, side in zip(simulations, sides, strict=True):

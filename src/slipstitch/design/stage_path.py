@@ -25,7 +25,6 @@ class StagePath:
         Distance lowered; length of a horizontal stroke.
     strokes : int
         Forward, back, forward, back.
-    speed_m_s, acceleration_m_s2 : float
     """
 
     start_height_m: float = 0.21

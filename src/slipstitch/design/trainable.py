@@ -52,10 +52,7 @@ def view_order(config: Config) -> list[str]:
 def instrument_views(config: Config) -> list[str]:
     """Viewpoints that the instrument learns from, by name.
 
-    Raises
-    ------
-    BadInput
-        If one of them is not rectified to the calibrated view, or is there for testing only.
+    BadInput if one of them is not rectified to the calibrated view, or is there for testing only.
     """
     calibrated = view_order(config)[0]
     for name in config.instrument.viewpoints or ():
@@ -72,10 +69,7 @@ def instrument_views(config: Config) -> list[str]:
 def check_networks_can_train(config: Config) -> None:
     """Refuse a grid that leaves a network without classes to tell apart.
 
-    Raises
-    ------
-    BadInput
-        With a single fabric or friction coefficient, or a fabric that never trains.
+    BadInput with a single fabric or friction coefficient, or a fabric that never trains.
     """
     _enough(config, "materials", "the material network")
     _enough(config, "frictions", "a friction network")
@@ -90,11 +84,8 @@ def check_networks_can_train(config: Config) -> None:
 def check_instrument_can_train(config: Config) -> None:
     """Refuse a grid whose friction coefficients the instrument cannot learn.
 
-    Raises
-    ------
-    BadInput
-        With a single coefficient, one above what the instrument can say, or a viewpoint that it
-        cannot learn from.
+    BadInput with a single coefficient, one above what the instrument can say, or a viewpoint that
+    it cannot learn from.
     """
     instrument_views(config)
     _enough(config, "frictions", "the instrument")
@@ -110,10 +101,7 @@ def check_instrument_can_train(config: Config) -> None:
 def check_calibration_datasets(config: Config) -> None:
     """Refuse datasets of other runs that are not there: they are to be made before.
 
-    Raises
-    ------
-    BadInput
-        Names the first.
+    The error names the first.
     """
     for folder in config.instrument.calibration_datasets:
         if not Path(folder, "manifest.parquet").is_file():

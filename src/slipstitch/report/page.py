@@ -132,7 +132,7 @@ def render_page(context: Mapping[str, Any]) -> str:
 def write_report(
     config: Config, results: str | os.PathLike, out: str | os.PathLike
 ) -> dict[str, Any]:
-    """Write the page.
+    """Write the page; BadInput if there is no such folder, or a file in it cannot be read.
 
     Parameters
     ----------
@@ -147,11 +147,6 @@ def write_report(
     -------
     dict
         The page's context.
-
-    Raises
-    ------
-    BadInput
-        If there is no such folder, or a file in it cannot be read.
     """
     started = start_clock()
     found = Results(results, config)

@@ -96,11 +96,14 @@ def publish(
 ) -> dict[str, Any]:
     """Write the folder, whole or not at all.
 
+    BadInput if `out` holds anything else, or results; if the run is not finished, without
+    `partial`; if there is nothing of it; if a file is damaged; if the scores are of other models or
+    of another dataset; with `update` if `out` is of another run.
+
     Parameters
     ----------
     config : Config
         What the results were made with.
-    results : path
     out : path
         Absent, empty, or a folder that was published before and is replaced.
     partial : bool
@@ -115,13 +118,6 @@ def publish(
     dict
         The content of ``published.json``: ``name``, ``partial``, ``missing`` and SHA-256 of every
         file.
-
-    Raises
-    ------
-    BadInput
-        If `out` holds anything else, or results; if the run is not finished, without `partial`; if
-        there is nothing of it; if a file is damaged; if the scores are of other models or of
-        another dataset; with `update` if `out` is of another run.
     """
     started = start_clock()
     found, out = Results(results, config), Path(out)

@@ -60,6 +60,8 @@ class History:
 class Results:
     """A results folder. Everything is read when asked for; what is not there is None or empty.
 
+    BadInput if there is no such folder; later, if a file in it cannot be read.
+
     Parameters
     ----------
     folder : path
@@ -72,11 +74,6 @@ class Results:
     read : set of Path
         The results that were read so far; what is known of the runs themselves (journal, logs,
         costs) does not count.
-
-    Raises
-    ------
-    BadInput
-        If there is no such folder; later, if a file in it cannot be read.
     """
 
     def __init__(self, folder: str | os.PathLike, config: Config):

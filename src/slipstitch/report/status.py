@@ -365,12 +365,8 @@ def _head(run: Run) -> str:
 def status(folder: str | Path, log_lines: int) -> tuple[str, bool]:
     """Return what to print of a results folder, and whether its last run stopped unfinished.
 
-    Failures come first, then the state of the last run and the jobs of each stage.
-
-    Raises
-    ------
-    BadInput
-        If the plan is damaged.
+    Failures come first, then the state of the last run and the jobs of each stage. BadInput if the
+    plan is damaged.
     """
     folder = Path(folder)
     runs, plan = read_runs(folder), read_plan(folder)

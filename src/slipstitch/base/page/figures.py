@@ -98,9 +98,6 @@ def save_figure(
 
     Parameters
     ----------
-    figure : Figure
-    path : path
-    kind : {"png", "svg"}
     dots_per_inch : int
         Of a PNG.
     """

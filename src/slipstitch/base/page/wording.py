@@ -67,7 +67,6 @@ def duration(seconds: float | None, digits: int = 1, unknown: str = NONE) -> str
         None or not a number: `unknown`.
     digits : int
         Of seconds and minutes.
-    unknown : str
     """
     if seconds is None or seconds != seconds:
         return unknown
@@ -104,10 +103,7 @@ def yes_or_no(value: float | None) -> str:
 def time_of_making() -> datetime:
     """Now (UTC), or ``SOURCE_DATE_EPOCH``, as reproducible builds set it.
 
-    Raises
-    ------
-    BadInput
-        If that is no number of seconds.
+    BadInput if that is no number of seconds.
     """
     epoch = os.environ.get("SOURCE_DATE_EPOCH")
     if not epoch:
@@ -128,7 +124,6 @@ def evenly(items: Sequence[Any], most: int) -> list[Any]:
 
     Parameters
     ----------
-    items : sequence
     most : int
         At least 2 if there are more items than that.
     """

@@ -142,17 +142,14 @@ def _root(root: str | Path | None) -> Path:
 def code_sources(stage: str, root: str | Path | None = None) -> list[Path]:
     """Return the files that the result of `stage` depends on, sorted by path.
 
+    ModuleNotFoundError if there is no such stage.
+
     Parameters
     ----------
     stage : str
         A key of `STAGES`.
     root : path, optional
         Folder that holds the package ``slipstitch``; the running one's by default.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        If there is no such stage.
     """
     return list(_contents(stage, _root(root))[0])
 

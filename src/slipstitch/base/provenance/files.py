@@ -44,11 +44,7 @@ def atomic_path(path: str | os.PathLike) -> Iterator[Path]:
     flushed to the disk before the renaming, so that a crash leaves the old file or the new one,
     never half of one. Missing parent folders are created, and what a killed process left of an
     earlier attempt at the same name is removed. A folder replaces an existing folder as a whole.
-
-    Raises
-    ------
-    FileNotFoundError
-        If the block ended well but wrote nothing.
+    FileNotFoundError if the block ended well but wrote nothing.
     """
     final = Path(path)
     final.parent.mkdir(parents=True, exist_ok=True)
@@ -128,10 +124,7 @@ def file_digest(path: str | os.PathLike) -> str:
 def reading(path: str | os.PathLike, kind: str) -> Iterator[None]:
     """Report errors in the block for the file at `path`, which should be a `kind`.
 
-    Raises
-    ------
-    BadInput
-        If there is no such file, or it cannot be opened; `Damaged` if it cannot be understood.
+    BadInput if there is no such file, or it cannot be opened; `Damaged` if it cannot be understood.
     """
     try:
         yield
@@ -179,10 +172,7 @@ def open_parquet(path: str | os.PathLike) -> Iterator[Any]:
 def read_parquet(path: str | os.PathLike, columns: Iterable[str] | None = None):
     """A Parquet file as a pyarrow table, checksums verified; all columns, or those named.
 
-    Raises
-    ------
-    BadInput
-        If there is no such file, or it lacks a column; `Damaged` if it is no Parquet file.
+    BadInput if there is no such file, or it lacks a column; `Damaged` if it is no Parquet file.
     """
     wanted = None if columns is None else list(columns)
     with open_parquet(path) as file:
@@ -220,11 +210,8 @@ def image_bytes(path: str | os.PathLike) -> bytes:
 def read_json(path: str | os.PathLike) -> Any:
     """Content of a JSON file.
 
-    Raises
-    ------
-    BadInput
-        If there is no such file; `Damaged` if it is no JSON, or not what the record beside it was
-        written for.
+    BadInput if there is no such file; `Damaged` if it is no JSON, or not what the record beside it
+    was written for.
     """
     with reading(path, "JSON file"):
         if os.path.getsize(path) > JSON_BYTES_MAX:
@@ -291,10 +278,7 @@ class _UniqueKeys(yaml.SafeLoader):
 def load_yaml(text: str, where: str) -> Any:
     """The content of a YAML text, plain data only; `where` names it in an error.
 
-    Raises
-    ------
-    BadInput
-        If it is no YAML, wants objects of Python, nests too deeply or grows beyond measure.
+    BadInput if it is no YAML, wants objects of Python, nests too deeply or grows beyond measure.
     """
     if len(text) > YAML_BYTES_MAX:
         raise BadInput(f"{where}: {len(text)} characters; at most {YAML_BYTES_MAX} are allowed")

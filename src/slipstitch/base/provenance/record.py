@@ -155,7 +155,6 @@ def provenance_record(
         Files that were read.
     config : mapping or pydantic model
         The configuration keys that were used.
-    seed : int, optional
     started : tuple, optional
         What `start_clock` returned when the work began; by default the times count from the start
         of the process (CPU) and from the import of this module (wall).

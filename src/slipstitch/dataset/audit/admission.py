@@ -59,10 +59,7 @@ class Harmful(BadInput):
 def check_entries(folder: Path) -> None:
     """Refuse a folder that holds anything but plain files and folders, or what no release can hold.
 
-    Raises
-    ------
-    BadInput
-        Names the first such entry. Nothing of the folder has been opened.
+    The error names the first such entry. Nothing of the folder has been opened.
     """
     waiting = [(folder, 0)]
     entries = total = 0
@@ -113,12 +110,7 @@ def _checked_size(folder: Path, name: str, status: os.stat_result) -> int:
 
 
 def check_nesting(folder: Path) -> None:
-    """Refuse JSON that is nested more deeply than a parser can follow.
-
-    Raises
-    ------
-    BadInput
-    """
+    """Refuse JSON that is nested more deeply than a parser can follow."""
     for path in sorted(folder.glob(f"{RECORDS}/**/*.json")):
         steps = _STEPS[np.frombuffer(path.read_bytes(), np.uint8)]
         # Brackets in texts count too: no record has hundreds of them.
@@ -129,9 +121,10 @@ def check_nesting(folder: Path) -> None:
 def check_parquet(path: Path, images: bool) -> str | None:
     """Whether a Parquet file holds what it seems to hold, by its footer alone.
 
+    Harmful if reading it could take far more memory than it has bytes.
+
     Parameters
     ----------
-    path : path
     images : bool
         Whether it is a shard: its images must be stored as they are, so that reading them takes no
         more memory than the file has bytes.
@@ -140,11 +133,6 @@ def check_parquet(path: Path, images: bool) -> str | None:
     -------
     str or None
         What is odd but harmless: bytes of the file that belong to no column.
-
-    Raises
-    ------
-    Harmful
-        If reading it could take far more memory than it has bytes.
     """
     with reading(path, "Parquet file"), pq.ParquetFile(path) as file:
         footer, size = file.metadata, os.path.getsize(path)
@@ -173,12 +161,7 @@ def text_columns(path: Path) -> list[str]:
 
 
 def short_texts(batch: Any, path: Path) -> None:
-    """Refuse texts, read as dictionaries, that grow when they are written out row by row.
-
-    Raises
-    ------
-    Harmful
-    """
+    """Refuse texts, read as dictionaries, that grow when they are written out row by row."""
     for name, column in zip(batch.schema.names, batch.columns, strict=True):
         chunks = getattr(column, "chunks", [column])
         for chunk in chunks:
@@ -195,12 +178,8 @@ def short_texts(batch: Any, path: Path) -> None:
 def limited_memory() -> Iterator[None]:
     """Let this process take `MEMORY_BYTES` more than it has, not the machine's whole memory.
 
-    What a file's headers claim falsely ends in a MemoryError then.
-
-    Raises
-    ------
-    BadInput
-        Where the block ends in one.
+    What a file's headers claim falsely ends in a MemoryError then. BadInput where the block ends in
+    one.
     """
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
     try:

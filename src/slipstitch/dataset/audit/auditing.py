@@ -38,13 +38,7 @@ def find_clip(contents: Contents, clip: str) -> dict[str, Any]:
 
 
 def explain(contents: Contents, clip: str) -> str:
-    """The story as lines.
-
-    Raises
-    ------
-    BadInput
-        If the release has no such clip.
-    """
+    """The story as lines; BadInput if the release has no such clip."""
     row = find_clip(contents, clip)
     lineage = Lineage(contents)
     lines = [f"{clip}, a clip of {contents.name}", *_clip(contents, row)]
@@ -181,11 +175,10 @@ def audit_release(
     jobs: int = 2,
     signers: Path | None = None,
 ) -> Audit:
-    """Audit a release.
+    """Audit a release; BadInput if the folder is no release, or cannot be read without harm.
 
     Parameters
     ----------
-    folder : path
     config : Config, optional
         Today's configuration, to compare with; the code of today is compared anyway.
     expected : str, optional
@@ -194,11 +187,6 @@ def audit_release(
         Threads.
     signers : path, optional
         Who may have signed it; see `slipstitch.dataset.release.signature.verify`.
-
-    Raises
-    ------
-    BadInput
-        If the folder is no release, or cannot be read without harm.
     """
     with limited_memory():
         return _audit(folder, config, expected, jobs, signers)

@@ -117,11 +117,8 @@ _OF_AN_INSTRUMENT = (
 def read_contents(folder: Path) -> Contents:
     """Read a release.
 
-    Raises
-    ------
-    BadInput
-        If the folder is not there or no release: a foreign folder, one half written, or one that
-        cannot be read without harm.
+    BadInput if the folder is not there or no release: a foreign folder, one half written, or one
+    that cannot be read without harm.
     """
     if not folder.is_dir():
         raise BadInput(f"{folder}: no such folder")

@@ -105,10 +105,7 @@ def read_shard(path: Path, pixels: int | None = None) -> Shard:
 def admit_shards(contents: Contents) -> dict[str, str]:
     """Shards that cannot be opened, and why; before any file is read.
 
-    Raises
-    ------
-    BadInput
-        If one, just as SHA256SUMS has it, would take far more memory than it has bytes.
+    BadInput if one, just as SHA256SUMS has it, would take far more memory than it has bytes.
     """
     problems = {}
     for name in sorted(contents.sums):

@@ -36,10 +36,8 @@ class Finding:
 
     Attributes
     ----------
-    kind : Kind
     where : str
         A file of the release, an artefact as the records call it, or a stage.
-    what : str
     clips : tuple of str
         Videos that it touches.
     """
@@ -62,7 +60,6 @@ class Audit:
         SHA-256 of its ``SHA256SUMS``.
     numbers : dict
         Files, bytes, clips and images that were looked at; ``wall_s, cpu_s``.
-    findings : list of Finding
     notes : list of str
         What could not be compared, and why.
     clips : list of str

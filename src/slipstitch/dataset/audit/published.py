@@ -112,18 +112,14 @@ def audit_published(
 ) -> PublishedAudit:
     """Audit a folder that `slipstitch publish` wrote.
 
+    BadInput if its index cannot be read, or the folder cannot be read without harm.
+
     Parameters
     ----------
-    folder : path
     shipped : str
         SHA-256 of the weights that come with Slipstitch.
     recompute : callable, optional
         Predictions -> the scores that they give, to compare with the published ones.
-
-    Raises
-    ------
-    BadInput
-        If its index cannot be read, or the folder cannot be read without harm.
     """
     with limited_memory():
         check_entries(folder)

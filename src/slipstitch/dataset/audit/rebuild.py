@@ -32,12 +32,8 @@ class Rebuilt:
 
     Attributes
     ----------
-    clip : str
     same_motion : bool
         Whether the simulation gave the same bits.
-    same_pixels : bool
-    images_differing : int
-    images : int
     largest_difference : int
         Of a channel of a pixel, 0 ... 255.
     psnr_db : float or None

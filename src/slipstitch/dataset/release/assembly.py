@@ -83,12 +83,7 @@ def check_current(
 
     Simulations are held against what they were told to use: the configuration with the settings
     that the calibration (below `root`) chose. Versions must be those of the `lock`, by which others
-    make the same again.
-
-    Raises
-    ------
-    BadInput
-        Names the first such file and what changed.
+    make the same again. The error names the first such file and what changed.
     """
     calibrated = calibrated_by(artefacts, lambda path: root / path)
     for artefact in artefacts.values():

@@ -27,30 +27,19 @@ def _tool() -> str:
 
 
 def check_key(key: str | os.PathLike) -> None:
-    """Refuse a key that cannot sign, before any work is done.
-
-    Raises
-    ------
-    BadInput
-    """
+    """Refuse a key that cannot sign, before any work is done."""
     _tool()
     if not Path(key).is_file():
         raise BadInput(f"{key}: no such file; must be an SSH key for signing")
 
 
 def sign(folder: Path, key: str | os.PathLike) -> None:
-    """Write ``SHA256SUMS.sig`` beside the sums of a release.
+    """Write ``SHA256SUMS.sig`` beside the sums of a release; SlipstitchError if it cannot sign.
 
     Parameters
     ----------
-    folder : path
     key : path
         A private SSH key, or a public one whose private half an agent holds.
-
-    Raises
-    ------
-    SlipstitchError
-        If it cannot sign.
     """
     words = ["-Y", "sign", "-q", "-n", NAMESPACE, "-f", os.fspath(key), str(folder / SUMS)]
     answer = subprocess.run([_tool(), *words], capture_output=True, text=True)
@@ -61,9 +50,10 @@ def sign(folder: Path, key: str | os.PathLike) -> None:
 def verify(folder: Path, signers: Path) -> tuple[str | None, str | None]:
     """Verify the signature of a release.
 
+    BadInput if there is no such file of signers, or no ``ssh-keygen``.
+
     Parameters
     ----------
-    folder : path
     signers : path
         Who may sign, as ``ssh-keygen`` wants it: lines of a name and a public key.
 
@@ -73,11 +63,6 @@ def verify(folder: Path, signers: Path) -> tuple[str | None, str | None]:
         Who signed it.
     problem : str or None
         What is wrong instead.
-
-    Raises
-    ------
-    BadInput
-        If there is no such file of signers, or no ``ssh-keygen``.
     """
     tool = _tool()
     if not signers.is_file():
@@ -135,10 +120,7 @@ def write_sums(folder: Path) -> str:
 def read_sums(folder: Path) -> Mapping[str, str]:
     """Relative path -> digest.
 
-    Raises
-    ------
-    BadInput
-        If the file is missing, not of this format, or names a file outside the folder.
+    BadInput if the file is missing, not of this format, or names a file outside the folder.
     """
     try:
         text = (folder / SUMS).read_text(encoding="utf-8")

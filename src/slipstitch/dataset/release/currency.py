@@ -45,10 +45,7 @@ def locked_versions(project: Path) -> dict[str, str]:
 def check_project(project: str | os.PathLike) -> Path:
     """The folder of the Snakefile.
 
-    Raises
-    ------
-    BadInput
-        If it is none, or a checkout that the running code does not come from.
+    BadInput if it is none, or a checkout that the running code does not come from.
     """
     folder = Path(project).resolve()
     for name in _NEEDED:
@@ -102,7 +99,6 @@ def current_digest(
 
     Parameters
     ----------
-    stage : str
     root : path, optional
         Folder of the package; the running one's by default.
     versions : mapping, optional
@@ -138,8 +134,6 @@ def config_changes(
 
     Parameters
     ----------
-    artefact : Artefact
-    config : Config
     calibrated : mapping
         Path of a calibration, as records call it -> the settings that it chose. A simulation that
         was made from it was told to use these instead of those of `config`.
@@ -174,10 +168,7 @@ def calibrated_simulation(
 ) -> SimulationSettings:
     """What a simulation was told to use: the configured settings, as its calibration chose.
 
-    Raises
-    ------
-    BadInput
-        If the calibration's settings are none.
+    BadInput if the calibration's settings are none.
     """
     told = _plain(config.simulation)
     for path in artefact.inputs:
@@ -189,10 +180,7 @@ def calibrated_simulation(
 def calibrated_by(artefacts: Iterable[str], place: Callable[[str], Path]) -> dict[str, dict]:
     """The settings that calibrations among artefacts chose, by path.
 
-    Raises
-    ------
-    BadInput
-        If a calibration is missing or damaged.
+    BadInput if a calibration is missing or damaged.
     """
     return {
         path: calibrated_settings(place(path))

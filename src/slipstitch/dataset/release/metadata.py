@@ -131,10 +131,7 @@ def croissant(folder: Path, facts: Mapping[str, Any]) -> mlc.Metadata:
 def croissant_text(folder: Path, facts: Mapping[str, Any]) -> str:
     """Text of ``croissant.json``; mlcroissant has checked it against the specification then.
 
-    Raises
-    ------
-    SlipstitchError
-        If it finds an error.
+    SlipstitchError if it finds an error.
     """
     try:
         content = croissant(folder, facts).to_json()

@@ -109,10 +109,7 @@ def _update(sink, column: pa.ChunkedArray) -> None:
 def read_artefact(path: str, place: Path) -> Artefact:
     """The record of the file at `place`, which records call `path`.
 
-    Raises
-    ------
-    BadInput
-        If it is not there or damaged.
+    BadInput if it is not there or damaged.
     """
     if not place.is_file():
         raise BadInput(f"{path}: no such file; make it with: snakemake --cores 2 sample")
@@ -153,6 +150,8 @@ def locate(path: str, root: Path, outside: Mapping[str, Path]) -> Path:
 def collect(start: Iterable[str], root: Path, outside: Mapping[str, Path]) -> dict[str, Artefact]:
     """Records of the artefacts `start` and of everything behind them.
 
+    BadInput if a file is missing, or is no longer the one that something was made from.
+
     Parameters
     ----------
     start : iterable of str
@@ -166,11 +165,6 @@ def collect(start: Iterable[str], root: Path, outside: Mapping[str, Path]) -> di
     -------
     dict
         Path -> artefact, inputs before what was made from them.
-
-    Raises
-    ------
-    BadInput
-        If a file is missing, or is no longer the one that something was made from.
     """
     found: dict[str, Artefact] = {}
 
@@ -238,13 +232,7 @@ def write_record(artefact: Artefact, folder: Path) -> None:
 
 
 def read_record(path: Path) -> Artefact:
-    """A record of a release.
-
-    Raises
-    ------
-    ValueError
-        If it is no record; the message says why.
-    """
+    """A record of a release; ValueError if it is no record; the message says why."""
     content = json.loads(path.read_text(encoding="utf-8"))
     if not isinstance(content, Mapping):
         raise ValueError("not a record: not a mapping")

@@ -200,7 +200,7 @@ def write_shards(
     shard_mb: float,
     progress=iter,
 ) -> dict[str, dict[str, Any]]:
-    """Write all images, part by part.
+    """Write all images, part by part; BadInput if a video is not where the manifest says.
 
     Parameters
     ----------
@@ -212,7 +212,6 @@ def write_shards(
         Video -> part.
     out : path
         The release; shards go to ``data/`` in it.
-    shard_mb : float
     progress : callable
         Wraps the list of files.
 
@@ -220,11 +219,6 @@ def write_shards(
     -------
     dict
         Video -> ``shard`` (path in the release) and ``first_row`` in it.
-
-    Raises
-    ------
-    BadInput
-        If a video is not where the manifest says.
     """
     folder = out / FOLDER
     folder.mkdir()
