@@ -9,6 +9,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,22 +41,6 @@ class Diagnosis:
     remedy: str = ""
 
 
-def examine() -> list[Diagnosis]:
-    """All checks, in the order they are shown."""
-    return [
-        check_python(),
-        check_packages(),
-        check_system_libraries(),
-        check_blender(),
-        check_warp(),
-        check_processor(),
-        check_gpu(),
-        check_memory(),
-        check_disk(),
-        check_git(),
-    ]
-
-
 def print_findings() -> int:
     """Print all findings with their remedies; return 1 if a requirement is missing."""
     findings = examine()
@@ -66,71 +51,61 @@ def print_findings() -> int:
     if remedies:
         print("", *remedies, sep="\n")
     missing = [finding.name for finding in findings if finding.state is Standing.MISSING]
-    print()
+    said = "All requirements of Slipstitch are met."
     if missing:
-        print(f"Slipstitch cannot run everything; missing: {', '.join(missing)} (see above).")
-    else:
-        print("All requirements of Slipstitch are met.")
+        said = f"Slipstitch cannot run everything; missing: {', '.join(missing)} (see above)."
+    print(f"\n{said}")
     return 1 if missing else 0
 
 
-def _good(name: str, found: str) -> Diagnosis:
-    return Diagnosis(name, Standing.GOOD, found)
+def _met(
+    good: bool, name: str, found: str, remedy: str, else_: Standing = Standing.MISSING
+) -> Diagnosis:
+    """A requirement that is met, or missing with its remedy."""
+    return Diagnosis(name, Standing.GOOD if good else else_, found, "" if good else remedy)
 
 
 def _note(name: str, found: str, remedy: str = "") -> Diagnosis:
     return Diagnosis(name, Standing.NOTE, found, remedy)
 
 
-def _missing(name: str, found: str, remedy: str) -> Diagnosis:
-    return Diagnosis(name, Standing.MISSING, found, remedy)
-
-
 def check_python() -> Diagnosis:
     """Python 3.11, the only one that bpy 4.5 is built for."""
     found = f"{platform.python_version()} in {sys.prefix}"
-    if sys.version_info[:2] == (3, 11):
-        return _good("Python", found)
-    return _missing("Python", found, "make setup PYTHON=/path/to/python3.11")
+    remedy = "make setup PYTHON=/path/to/python3.11"
+    return _met(sys.version_info[:2] == (3, 11), "Python", found, remedy)
 
 
 def pinned_versions(path: Path = REQUIREMENTS) -> dict[str, str]:
     """Package -> version of a requirements file; empty if there is no such file."""
-    if not path.is_file():
-        return {}
-    lines = (line.split("#")[0].strip() for line in path.read_text(encoding="utf-8").splitlines())
-    return dict(line.split("==") for line in lines if "==" in line)
+    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
+    pinned = (line.partition("#")[0].strip() for line in lines)
+    return dict(line.split("==") for line in pinned if "==" in line)
 
 
-def compare_versions(pinned: dict[str, str]) -> tuple[dict[str, str], dict[str, str]]:
-    """Pinned packages that are absent, and those of another version with the one installed.
+def check_packages(path: Path = REQUIREMENTS) -> Diagnosis:
+    """The direct dependencies, at their pinned versions; the local part (``+cpu``) does not count.
 
-    The local part of a version (``+cpu``) does not count.
+    Only a package that is absent is missing.
     """
-    absent, other = {}, {}
+    pinned = pinned_versions(path)
+    if not pinned:
+        return _note("packages", "no list of pinned versions found")
+    absent, other = [], []
     for package, version in pinned.items():
         try:
             installed = importlib.metadata.version(package)
         except importlib.metadata.PackageNotFoundError:
-            absent[package] = version
-        else:
-            if installed.split("+")[0] != version:
-                other[package] = installed
-    return absent, other
-
-
-def check_packages(path: Path = REQUIREMENTS) -> Diagnosis:
-    """The direct dependencies, at their pinned versions."""
-    pinned = pinned_versions(path)
-    if not pinned:
-        return _note("packages", "no list of pinned versions found")
-    absent, other = compare_versions(pinned)
-    wrong = [f"{package} (needs {version})" for package, version in absent.items()]
-    wrong += [f"{package} {other[package]} (pinned {pinned[package]})" for package in other]
-    if not wrong:
-        return _good("packages", f"all {len(pinned)} at their pinned versions")
-    found = f"{len(pinned) - len(wrong)} of {len(pinned)} at their pinned versions; not: "
-    return (_missing if absent else _note)("packages", found + ", ".join(wrong), "make setup")
+            absent.append(f"{package} (needs {version})")
+            continue
+        if installed.partition("+")[0] != version:
+            other.append(f"{package} {installed} (pinned {version})")
+    wrong = absent + other
+    found = f"all {len(pinned)} at their pinned versions"
+    if wrong:
+        found = f"{len(pinned) - len(wrong)} of{found[3:]}; not: {', '.join(wrong)}"
+    else_ = Standing.MISSING if absent else Standing.NOTE
+    return _met(not wrong, "packages", found, "make setup", else_)
 
 
 def check_system_libraries() -> Diagnosis:
@@ -140,26 +115,21 @@ def check_system_libraries() -> Diagnosis:
         return _note(name, "not checked: bpy is missing")
     if shutil.which("ldd") is None:
         return _note(name, "not checked: ldd is missing")
-    answers = [
-        subprocess.run(["ldd", str(module)], capture_output=True, text=True).stdout
-        for module in sorted(Path(bpy.origin).parent.glob("*.so"))
-    ]
-    missing = sorted(set(re.findall(r"(\S+) => not found", "\n".join(answers))))
-    if not missing:
-        return _good(name, "all libraries that Blender requires")
-    packages = ""
-    if SYSTEM_PACKAGES.is_file():
-        lines = SYSTEM_PACKAGES.read_text(encoding="utf-8").splitlines()
-        packages = " ".join(line for line in lines if not line.startswith("#"))
-    return _missing(name, ", ".join(missing), f"sudo apt-get install {packages}")
+    modules = sorted(Path(bpy.origin).parent.glob("*.so"))
+    runs = [subprocess.run(["ldd", str(one)], capture_output=True, text=True) for one in modules]
+    linked = "\n".join(run.stdout for run in runs)
+    missing = sorted(set(re.findall(r"(\S+) => not found", linked)))
+    lines = SYSTEM_PACKAGES.read_text(encoding="utf-8") if SYSTEM_PACKAGES.is_file() else ""
+    packages = " ".join(line for line in lines.splitlines() if not line.startswith("#"))
+    found = ", ".join(missing) or "all libraries that Blender requires"
+    return _met(not missing, name, found, f"sudo apt-get install {packages}")
 
 
 def _in_a_process(*arguments: str, seconds: float = 120.0) -> tuple[bool, str]:
     """Run a Python of its own with `arguments`; whether it ended well, and its last line."""
+    words = [sys.executable, *arguments]
     try:
-        answer = subprocess.run(
-            [sys.executable, *arguments], capture_output=True, text=True, timeout=seconds
-        )
+        answer = subprocess.run(words, capture_output=True, text=True, timeout=seconds)
     except subprocess.TimeoutExpired:
         return False, f"no answer within {seconds:g} s"
     lines = (answer.stdout if answer.returncode == 0 else answer.stderr).strip().splitlines()
@@ -169,17 +139,14 @@ def _in_a_process(*arguments: str, seconds: float = 120.0) -> tuple[bool, str]:
 def check_blender() -> Diagnosis:
     """Whether Blender's module can be imported, in a process of its own: it may crash one."""
     good, line = _in_a_process("-c", "import bpy; print(bpy.app.version_string)")
-    if good:
-        return _good("Blender", f"{line}, imports")
-    return _missing("Blender", f"import bpy: {line}", "make setup")
+    found = f"{line}, imports" if good else f"import bpy: {line}"
+    return _met(good, "Blender", found, "make setup")
 
 
 def check_warp() -> Diagnosis:
     """Whether Warp compiles and runs a kernel on the CPU."""
     good, line = _in_a_process("-m", "slipstitch.report.warp_kernel")
-    if good:
-        return _good("Warp", f"{line}, runs on the CPU")
-    return _missing("Warp", line, "make setup")
+    return _met(good, "Warp", f"{line}, runs on the CPU" if good else line, "make setup")
 
 
 def check_processor(information: Path = Path("/proc/cpuinfo")) -> Diagnosis:
@@ -187,12 +154,12 @@ def check_processor(information: Path = Path("/proc/cpuinfo")) -> Diagnosis:
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     text = information.read_text(encoding="utf-8") if information.is_file() else ""
     match = re.search(r"^flags\s*:(.*)$", text, re.MULTILINE)
-    flags = match.group(1).split() if match else []
+    flags = match[1].split() if match else []
     features = [flag for flag in ("avx2", "avx512f", "avx512_bf16", "amx_bf16") if flag in flags]
+    fast = not {"avx512_bf16", "amx_bf16"}.isdisjoint(flags)
     found = f"{cores} cores, {' '.join(features) or 'no vector extensions found'}: "
-    if {"avx512_bf16", "amx_bf16"}.isdisjoint(flags):
-        return _note("processor", found + "float32 training, 3-4 times slower than bfloat16")
-    return _good("processor", found + "bfloat16 training")
+    found += "bfloat16 training" if fast else "float32 training, 3-4 times slower than bfloat16"
+    return _met(fast, "processor", found, "", Standing.NOTE)
 
 
 def check_gpu() -> Diagnosis:
@@ -201,10 +168,8 @@ def check_gpu() -> Diagnosis:
         return _note("GPU", "none; not required")
     command = ["nvidia-smi", "--query-gpu=name,memory.total", "--format=csv,noheader"]
     answer = subprocess.run(command, capture_output=True, text=True)
-    names = "; ".join(answer.stdout.strip().splitlines())
-    if answer.returncode != 0 or not names:
-        return _note("GPU", "none usable; not required")
-    return _good("GPU", names)
+    names = "; ".join(answer.stdout.strip().splitlines()) if answer.returncode == 0 else ""
+    return _met(bool(names), "GPU", names or "none usable; not required", "", Standing.NOTE)
 
 
 def check_memory() -> Diagnosis:
@@ -213,24 +178,31 @@ def check_memory() -> Diagnosis:
         total = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
     except (ValueError, OSError):
         return _note("memory", "unknown")
-    if total < MEMORY_NEEDED_BYTES:
-        remedy = "run one job at a time: make all CORES=1"
-        return _note("memory", f"{size(total)}, not enough for two jobs", remedy)
-    return _good("memory", size(total))
+    enough = total >= MEMORY_NEEDED_BYTES
+    found = size(total) + ("" if enough else ", not enough for two jobs")
+    return _met(enough, "memory", found, "run one job at a time: make all CORES=1", Standing.NOTE)
 
 
 def check_disk(folder: Path | None = None, needed_bytes: float = DISK_NEEDED_BYTES) -> Diagnosis:
     """Free space where the results go: the working folder."""
     free = shutil.disk_usage(folder or Path.cwd()).free
-    if free < needed_bytes:
-        remedy = f"free {size(needed_bytes)}, or use snakemake --directory on another disk"
-        return _missing("free disk", f"{size(free)} here", remedy)
-    return _good("free disk", f"{size(free)} here")
+    remedy = f"free {size(needed_bytes)}, or use snakemake --directory on another disk"
+    return _met(free >= needed_bytes, "free disk", f"{size(free)} here", remedy)
 
 
 def check_git() -> Diagnosis:
     """git, for the commit in the provenance records."""
-    if shutil.which("git"):
-        return _good("git", "there")
-    found = "none: provenance records will not contain a commit"
-    return _note("git", found, "sudo apt-get install git")
+    there = shutil.which("git") is not None
+    found = "there" if there else "none: provenance records will not contain a commit"
+    return _met(there, "git", found, "sudo apt-get install git", Standing.NOTE)
+
+
+CHECKS: tuple[Callable[[], Diagnosis], ...] = (
+    check_python, check_packages, check_system_libraries, check_blender, check_warp,
+    check_processor, check_gpu, check_memory, check_disk, check_git,
+)  # fmt: skip
+
+
+def examine() -> list[Diagnosis]:
+    """All checks, in the order they are shown."""
+    return [check() for check in CHECKS]
