@@ -25,6 +25,7 @@ rule evaluate_all:
         "results/logs/evaluate/evaluate.log",
     benchmark:
         "results/benchmarks/evaluate/evaluate.tsv"
+    priority: 1
     threads: 1
     resources:
         mem_mb=job_memory_mb("evaluate", CONFIG),

@@ -40,6 +40,7 @@ rule instrument_one:
         "results/logs/instrument/{split}_seed{seed}.log",
     benchmark:
         "results/benchmarks/instrument/{split}_seed{seed}.tsv"
+    priority: 1
     threads: 1
     resources:
         mem_mb=job_memory_mb("instrument", CONFIG),

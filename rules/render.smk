@@ -1,4 +1,7 @@
-"""One Blender process per simulation and viewpoint; then all textures, without Blender; previews."""
+"""One Blender process per simulation; then all textures, without Blender; previews."""
+
+# Viewpoints from which only some simulations are filmed, as a pattern.
+DRAWN_VIEWPOINT = "|".join(view for view in VIEWPOINTS if view not in FULL_VIEWPOINTS) or "none"
 
 # The shading depends neither on the set of shards nor on what is applied to it afterwards.
 SHADING_SETTINGS = settings(
@@ -29,9 +32,24 @@ RENDER_SETTINGS = settings(
 )
 
 
-def camera_file(wildcards):
-    """The camera file of the viewpoint, if one is configured."""
-    return CONFIG.render.camera_of(VIEWPOINTS[wildcards.viewpoint]["name"]) or []
+def shaded(wildcards):
+    """The viewpoints that a shading job renders: of the drawn films one, of the others all."""
+    return [wildcards.viewpoint] if "viewpoint" in wildcards.keys() else FULL_VIEWPOINTS
+
+
+def camera_files(wildcards):
+    """The camera files of the viewpoints, where any is configured."""
+    cameras = [CONFIG.render.camera_of(VIEWPOINTS[view]["name"]) for view in shaded(wildcards)]
+    return [file for file in cameras if file]
+
+
+def shading_catalogue(wildcards):
+    """Viewpoints and floors of a shading job."""
+    views = shaded(wildcards)
+    return entries(
+        viewpoints=[VIEWPOINTS[view]["name"] for view in views],
+        floors=sorted({floor for view in views for floor in floors_of(CONFIG.render, view)}),
+    )
 
 
 def filmed(simulation, viewpoints):
@@ -59,34 +77,48 @@ rule render:
 
 rule render_shading:
     input:
-        trajectories=lambda wildcards: trajectories(wildcards.simulation, wildcards.viewpoint),
-        camera=camera_file,
+        trajectories=lambda wildcards: trajectories(wildcards.simulation, *shaded(wildcards)),
+        cameras=camera_files,
     output:
-        "results/render/shading/{simulation}_{viewpoint}.parquet",
+        expand(
+            "results/render/shading/{{simulation}}_{viewpoint}.parquet",
+            viewpoint=FULL_VIEWPOINTS,
+        ),
     log:
-        "results/logs/render/shade_{simulation}_{viewpoint}.log",
+        "results/logs/render/shade_{simulation}.log",
     benchmark:
-        "results/benchmarks/render/shade_{simulation}_{viewpoint}.tsv"
+        "results/benchmarks/render/shade_{simulation}.tsv"
+    priority: 1
     threads: 1
     resources:
         mem_mb=job_memory_mb("render"),
         runtime=job_runtime_min("render", CONFIG),
     params:
         *SHADING_SETTINGS,
-        viewpoint=lambda wildcards: VIEWPOINTS[wildcards.viewpoint]["name"],
-        weights=lambda wildcards: filmed(wildcards.simulation, [wildcards.viewpoint]),
-        floors=lambda wildcards: floors_of(CONFIG.render, wildcards.viewpoint),
-        catalogue=lambda wildcards: entries(
-            viewpoints=[VIEWPOINTS[wildcards.viewpoint]["name"]],
-            floors=floors_of(CONFIG.render, wildcards.viewpoint),
-        ),
+        viewpoints=shaded,
+        weights=lambda wildcards: filmed(wildcards.simulation, shaded(wildcards)),
+        catalogue=shading_catalogue,
         code=code_of("render.packing"),
         config=CONFIG_FILE,
     message:
-        "Render the shading of {wildcards.simulation} from viewpoint {wildcards.viewpoint}"
+        "Render the shading of {wildcards.simulation}"
     shell:
         "slipstitch render --config {params.config} --trajectory {input.trajectories[0]}"
-        " --viewpoint {wildcards.viewpoint} --shading {output} > {log} 2>&1"
+        " --viewpoint {params.viewpoints} --shading {output} > {log} 2>&1"
+
+
+# Of viewpoints from which only some simulations are filmed.
+use rule render_shading as render_shading_drawn with:
+    output:
+        "results/render/shading/{simulation}_{viewpoint}.parquet",
+    log:
+        "results/logs/render/shade_{simulation}_{viewpoint}.log",
+    benchmark:
+        "results/benchmarks/render/shade_{simulation}_{viewpoint}.tsv"
+    wildcard_constraints:
+        viewpoint=DRAWN_VIEWPOINT,
+    message:
+        "Render the shading of {wildcards.simulation} from viewpoint {wildcards.viewpoint}"
 
 
 rule render_images:
@@ -103,6 +135,7 @@ rule render_images:
         "results/logs/render/compose_{simulation}.log",
     benchmark:
         "results/benchmarks/render/compose_{simulation}.tsv"
+    priority: 1
     threads: 1
     resources:
         mem_mb=job_memory_mb("compose"),
@@ -119,7 +152,7 @@ rule render_images:
         " --from-shading {input.shading} --out-dir results/render > {log} 2>&1"
 
 
-# Of viewpoints from which only some simulations are filmed, and in some textures.
+# In some textures.
 rule render_images_drawn:
     input:
         trajectories=lambda wildcards: trajectories(wildcards.simulation, wildcards.viewpoint),
@@ -132,7 +165,8 @@ rule render_images_drawn:
     benchmark:
         "results/benchmarks/render/compose_{simulation}_{viewpoint}.tsv"
     wildcard_constraints:
-        viewpoint="|".join(view for view in VIEWPOINTS if view not in FULL_VIEWPOINTS) or "none",
+        viewpoint=DRAWN_VIEWPOINT,
+    priority: 1
     threads: 1
     resources:
         mem_mb=job_memory_mb("compose"),

@@ -20,6 +20,7 @@ rule sample_all:
         "results/logs/sample/sample.log",
     benchmark:
         "results/benchmarks/sample/sample.tsv"
+    priority: 1
     threads: 1
     resources:
         mem_mb=job_memory_mb("sample", CONFIG),

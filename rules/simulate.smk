@@ -16,6 +16,8 @@ rule simulate_one:
         "results/logs/simulate/{simulation}.log",
     benchmark:
         "results/benchmarks/simulate/{simulation}.tsv"
+    # The longest jobs first, then those that others wait for: no core idles at the end.
+    priority: 2
     threads: 1
     resources:
         mem_mb=job_memory_mb("simulate"),

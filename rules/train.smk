@@ -62,6 +62,7 @@ rule train_one:
         "results/benchmarks/train/{split}_{network}_seed{seed}.tsv"
     wildcard_constraints:
         network="|".join(NETWORKS),
+    priority: 1
     threads: 1
     resources:
         mem_mb=job_memory_mb("train", CONFIG),

@@ -231,6 +231,7 @@ def test_what_cannot_be_written_is_refused_before_any_work(words, reason, tmp_pa
 BY_HAND = "simulate --material gray-interlock --friction 0.3 --out x.parquet"
 CONFIG = "--config config.yaml"
 OF_GRID = f"simulate {CONFIG} --out x.parquet --simulation m05_f0300_r00"
+TWO_VIEWS = f"render {CONFIG} --trajectory config.yaml --viewpoint v00 v01"
 BOARD = "capture camera --squares 10x7 --square-mm 20 --out c.json view.png"
 CAPTURES = (
     f"evaluate --captures {CONFIG} --dataset d --models m --out o.json --predictions p.parquet"
@@ -252,6 +253,9 @@ CONTRADICTIONS = [
     ("render --verify --out-dir d x.parquet", "--out-dir cannot be combined with"),
     ("render --from-shading p --packs d", "--packs cannot be combined with --from"),
     ("render --shading p.parquet --out x.json", "--out cannot be combined with --shading"),
+    (f"{TWO_VIEWS} --shading a.parquet", "--shading requires one file for each --viewpoint"),
+    (f"{TWO_VIEWS} --shading a.parquet a.parquet", "--shading requires one file for each"),
+    (f"{TWO_VIEWS} --out a.parquet", "--out takes images of one --viewpoint"),
     (f"{CAPTURES} --details d.json", "--details cannot be combined with --captures"),
     ("audit r --explain c --rebuild c", "--rebuild cannot be combined with --ex"),
     ("audit r --explain c --json a.json", "--json cannot be combined with --ex"),

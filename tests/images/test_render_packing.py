@@ -44,10 +44,10 @@ def configure(folder, name="config.json", **render):
     return str(folder / name)
 
 
-def shade(folder, view, config="config.json", out=None):
-    path = folder / "packs" / f"{out or ONE}_{view}.parquet"
-    words = ["--trajectory", str(folder / f"{ONE}.parquet"), "--viewpoint", view]
-    return main(["render", "--config", str(folder / config), *words, "--shading", str(path)])
+def shade(folder, *views, packs="packs"):
+    paths = [str(folder / packs / f"{ONE}_{view}.parquet") for view in views]
+    words = ["--trajectory", str(folder / f"{ONE}.parquet"), "--viewpoint", *views]
+    return main(["render", "--config", str(folder / "config.json"), *words, "--shading", *paths])
 
 
 def compose_words(folder, *views, config="config.json", out_dir="images"):
@@ -74,8 +74,7 @@ def work(tmp_path_factory):
     configure(folder)
     motion = synthetic_cloth.motion(12, n=11, frame_rate_hz=0.15)
     write_trajectory(folder / f"{ONE}.parquet", Trajectory(**motion))
-    for view in ("v00", "v01"):
-        assert shade(folder, view) == 0
+    assert shade(folder, "v00", "v01") == 0
     assert main(compose_words(folder, "v00", "v01")) == 0
     return folder
 
@@ -94,6 +93,12 @@ def test_textures_are_put_on_without_blender(work):
     assert {texture for texture, _ in more} == {"t00", "t01", "t02"}
     for key, image in before.items():
         np.testing.assert_array_equal(image, more[key])
+
+
+def test_the_light_of_a_viewpoint_does_not_depend_on_those_rendered_before_it(work):
+    assert shade(work, "v01", packs="alone") == 0
+    alone, after = (pq.read_table(work / of / f"{ONE}_v01.parquet") for of in ("alone", "packs"))
+    assert alone.equals(after)
 
 
 def test_images_from_a_pack_are_those_of_one_go(work):

@@ -21,7 +21,7 @@ MODES = {
 
 
 @verb(
-    "render a simulation from one viewpoint with every texture; verify images; write previews",
+    "render a simulation with every texture; verify images; write previews",
     "slipstitch render --config config.yaml --trajectory results/simulate/m05_f0300_r00.parquet "
     "--viewpoint v00 --out results/render/m05_f0300_r00_v00.parquet",
 )
@@ -31,20 +31,22 @@ MODES = {
     one_each=True,
 )
 @option("--trajectory", type=FILE, help="trajectory written by simulate")
-@option(
+@several(
     "--viewpoint",
     metavar="ID",
-    help="id of the configuration (v00 ...) or name of the catalogue (calibrated ...)",
+    help="id of the configuration (v00 ...) or name of the catalogue (calibrated ...); several "
+    "with --shading",
 )
 @option(
     "--out",
     type=Output(".parquet", ".json"),
     help="image shard to write (Parquet); with --verify: comparisons (JSON)",
 )
-@option(
+@several(
     "--shading",
     type=PARQUET,
-    help="first of two steps: write a shading pack, made in Blender, instead of images",
+    help="first of two steps: write a shading pack of each viewpoint, made in Blender, instead of "
+    "images",
 )
 @several(
     "--from-shading",
@@ -65,7 +67,7 @@ MODES = {
 @argument("shards", nargs=-1, type=FILE, metavar="[SHARDS...]", help="finished image shards")
 def render(arguments: Arguments) -> None:
     """Preview, verify, compose or render; print one line on each result."""
-    runs = {"preview": _preview, "verify": _verify, "from_shading": _compose, "shading": _render}
+    runs = {"preview": _preview, "verify": _verify, "from_shading": _compose, "shading": _shade}
     chosen = next((name for name in runs if given(arguments, name)), None)
     mode = "rendering" if chosen is None else flag(chosen)
     needed, taken = MODES[mode]
@@ -113,21 +115,32 @@ def _compose(arguments: Arguments) -> None:
         print(f"{out}: {done['images']} images of {done['frames']} frames, {done['viewpoint']}")
 
 
-def _render(arguments: Arguments) -> None:
+def _shade(arguments: Arguments) -> None:
+    from slipstitch.base.errors import BadInput
     from slipstitch.base.progress import progress
-    from slipstitch.images.image_shards import render_shard
     from slipstitch.images.packing import write_pack
     from slipstitch.images.view import View
 
-    config = configuration(arguments)
-    bar = partial(progress, unit="frame")
-    view = View.of(config, arguments.trajectory, arguments.viewpoint)
-    if arguments.shading:
-        pack = write_pack(view, arguments.shading, bar)
-        _warn(arguments.shading, pack.metadata["smallest_share_of_cloth_in_image"])
-        print(f"{arguments.shading}: shading of {len(pack.shots)} frames, {view.viewpoint}")
-        return
-    done = render_shard(view, arguments.out, progress=bar)
+    config, names, files = configuration(arguments), arguments.viewpoint, arguments.shading
+    if not len(names) == len(set(names)) == len(set(files)) == len(files):
+        raise BadInput("--shading requires one file for each --viewpoint, and none twice")
+    views = [View.of(config, arguments.trajectory, name) for name in names]
+    for view, out in zip(views, files, strict=True):
+        pack = write_pack(view, out, partial(progress, unit="frame"))
+        _warn(out, pack.metadata["smallest_share_of_cloth_in_image"])
+        print(f"{out}: shading of {len(pack.shots)} frames, {view.viewpoint}")
+
+
+def _render(arguments: Arguments) -> None:
+    from slipstitch.base.errors import BadInput
+    from slipstitch.base.progress import progress
+    from slipstitch.images.image_shards import render_shard
+    from slipstitch.images.view import View
+
+    if len(arguments.viewpoint) > 1:
+        raise BadInput("--out takes images of one --viewpoint")
+    view = View.of(configuration(arguments), arguments.trajectory, arguments.viewpoint[0])
+    done = render_shard(view, arguments.out, progress=partial(progress, unit="frame"))
     _warn(arguments.out, done["smallest_share_of_cloth_in_image"])
     print(f"{arguments.out}: {done['images']} images of {done['frames']} frames, {view.viewpoint}")
 

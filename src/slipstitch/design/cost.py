@@ -24,7 +24,7 @@ SIMULATE_STEP_S, SELF_CONTACT_STEP_S = 0.022, 0.040
 # alone, of the order of V^1.5 operations for V vertices, would make it 3.
 SIMULATE_POWER = 2.3
 TRAJECTORY_BYTES = 1.0  # a vertex and frame; mean of the paper's 160 simulations, with the mesh
-RENDER_START_S = 1.0  # a Blender process
+RENDER_START_S = 3.5  # a Blender process; 6.8 s for 30 frames, each further view 2.9 s
 RENDER_FRAME_S = 0.14  # a frame of 112 px, 1 sample: 0.145, 0.222, 0.075 by view
 MIRROR_FACTOR = 2.0  # on a reflective floor: two paths for one
 PACK_BYTES = 8.0  # a pixel of the packed light
@@ -150,9 +150,9 @@ def _job_costs_s(config: Config, of: _Counted) -> dict[str, float]:
         # One per swept setting, the configured ones, the choice with checks, the pictures.
         "calibrate": _calibration_s(config) / (3 + len(KEYS)),
         "simulate": _simulation_s(config.simulation),
-        "render": RENDER_START_S + of.frames * light_s,
+        "render": RENDER_START_S + of.frames * light_s * of.shards / (of.runs + of.drawn_shards),
         "compose": composed_s / of.runs,
-        "verify": render.verified_images * (RENDER_START_S + direct_s),
+        "verify": RENDER_START_S + render.verified_images * 2 * direct_s,
         "preview": PREVIEW_S,
         "sample": of.videos * of.kept * SAMPLE_S,
         "train": passes * trained * frames * _frame_s(config),
@@ -180,7 +180,7 @@ def estimate(config: Config) -> list[StageEstimate]:
         "calibrate": (3 + len(KEYS), 1e6),
         "simulate": (of.runs, of.runs * trajectory * config.simulation.frames),
         "render": (
-            of.shards + of.drawn_shards + 2 * of.runs + 1,
+            2 * of.drawn_shards + 3 * of.runs + 1,
             of.videos * of.frames * image_bytes
             + of.shards * of.frames * PACK_BYTES * config.render.pixels**2
             + of.runs * PREVIEW_BYTES,
@@ -200,7 +200,7 @@ def estimate(config: Config) -> list[StageEstimate]:
         "report": (1, REPORT_BYTES),
     }
     whole_s = {stage: count * one_s[stage] for stage, (count, _) in jobs.items()}
-    whole_s["render"] = of.shards * one_s["render"] + one_s["verify"]
+    whole_s["render"] = (of.runs + of.drawn_shards) * one_s["render"] + one_s["verify"]
     whole_s["render"] += of.runs * (one_s["compose"] + one_s["preview"])
     whole_s |= {"sample": one_s["sample"], "instrument": instruments * one_s["instrument"]}
     return [
