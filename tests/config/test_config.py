@@ -21,8 +21,12 @@ SCALES = sorted(f"config/{path.name}" for path in (ROOT / "config").glob("*.yaml
 
 def below(scale: str) -> list[Path]:
     """The files that a scale is merged over."""
-    instrument = ["config/paper.yaml", "config/instrument.yaml"]
-    others = {"config/instrument.yaml": instrument[:1], "config/error_bars.yaml": instrument}
+    paper, instrument = "config/paper.yaml", "config/instrument.yaml"
+    others = {
+        instrument: [paper],
+        "config/paper_reflective.yaml": [paper],
+        "config/error_bars.yaml": [paper, instrument],
+    }
     return [ROOT / name for name in ("config.yaml", *others.get(scale, ()))]
 
 

@@ -31,7 +31,7 @@ def test_paper_scale_has_the_jobs_that_its_estimate_says(workflow, record_proper
     assert 100 < counts["render_images_drawn"] == counts["render_shading_drawn"] <= 6 * 20
     assert counts["render_images"] == 10 * 16
     assert counts["preview_one"] == 10 * 16
-    assert counts["train_one"] == 2 * 3 * 3 + 2  # splits, networks, seeds; on both floors
+    assert counts["train_one"] == 2 * 3 * 3  # splits, networks, seeds
 
     config = load_config(workflow.project / "config.yaml", workflow.project / "config/paper.yaml")
     stages = {one.stage: one for one in estimate(config)}
