@@ -14,11 +14,11 @@ from slipstitch.base.errors import BadInput
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.criticism_files import Paths, criticise_to_files
 from slipstitch.criticise.inference.discrepancy import discrepancy_words, embedded_discrepancy
+from slipstitch.criticise.inference.faulty_data import robust_fit
 from slipstitch.criticise.inference.gain import plain_scatters
-from slipstitch.criticise.inference.heavy_tails import robust_fit
 from slipstitch.criticise.inference.smooth_factor import Problem
 from slipstitch.criticise.measurements import assemble
-from slipstitch.criticise.prediction import is_discrepancy, predict_model, read_verdict
+from slipstitch.criticise.prediction import predict_model, read_verdict
 from slipstitch.criticise.resimulation import law_of_run
 from slipstitch.physics.friction_law import Contact
 from slipstitch.physics.friction_law.extended_model import model_of, read_extended_model
@@ -218,8 +218,10 @@ def test_a_damaged_factor_in_a_verdict_is_one_line(change, tmp_path):
         "coefficients": {"mu_face": 0.3},
         "scatter": {"drag": [0.03, 0.02, 1.1]},
     }
-    assert is_discrepancy(found)
     path = tmp_path / "verdict.json"
+    path.write_text(json.dumps({"models": {}, "discrepancy": found}))
+    with pytest.raises(BadInput, match="models: missing"):
+        read_verdict(path)
     path.write_text(json.dumps({"models": {}, "discrepancy": found | change}))
     with pytest.raises(BadInput, match=r"verdict\.json: discrepancy: must contain covariate"):
         read_verdict(path)

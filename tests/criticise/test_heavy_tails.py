@@ -9,7 +9,7 @@ from support.hidden_effects.bench import make_case
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.inference.candidates import Judge
 from slipstitch.criticise.inference.certificate import closest_rivals
-from slipstitch.criticise.inference.heavy_tails import robust_fit
+from slipstitch.criticise.inference.faulty_data import robust_fit
 from slipstitch.criticise.measurements import assemble
 
 

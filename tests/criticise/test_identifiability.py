@@ -9,7 +9,7 @@ from support.hidden_effects.bench import make_case
 
 from slipstitch.cli.main import main
 from slipstitch.criticise.case import read_case
-from slipstitch.criticise.identifiability import AT_BOUND, TOO_WIDE, not_identified
+from slipstitch.criticise.inference.intervals import AT_BOUND, TOO_WIDE, not_identified
 from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.verdict import analyse
 from slipstitch.criticise.verdict_data import extended_model, verdict_of

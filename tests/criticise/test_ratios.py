@@ -8,7 +8,7 @@ from support.hidden_effects.bench import make_case
 
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.inference import structure
-from slipstitch.criticise.inference.heavy_tails import robust_fit
+from slipstitch.criticise.inference.faulty_data import robust_fit
 from slipstitch.criticise.inference.mixed_model import Clusters, Group, Scatter, log_likelihood
 from slipstitch.criticise.inference.ratio import Ratios
 from slipstitch.criticise.measurements import assemble

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from slipstitch.criticise.protocols.trace_noise import noise_of, off_neighbours
+from slipstitch.criticise.traces import noise_of, off_neighbours
 
 SEEDS = 60
 

@@ -8,13 +8,13 @@ import pytest
 
 from slipstitch.base.errors import BadInput
 from slipstitch.criticise.case import read_case
+from slipstitch.criticise.causes import data_words
 from slipstitch.criticise.expected_traces import _READINGS as READINGS
 from slipstitch.criticise.expected_traces import ASSUMPTIONS
 from slipstitch.criticise.force_cells import cell_faults
 from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.plausibility import implausible
 from slipstitch.criticise.protocols.stick_slip import Slider, steady_force
-from slipstitch.criticise.sensors import data_words
 from slipstitch.criticise.traces import glitches
 
 KINETIC, STATIC = 0.40, 0.45

@@ -13,9 +13,9 @@ import pandas as pd
 from slipstitch.base.errors import BadInput, first_line
 from slipstitch.base.provenance import read_parquet
 from slipstitch.base.tables import read_cells
+from slipstitch.criticise.causes import DataFinding
 from slipstitch.criticise.protocols import PROTOCOLS
 from slipstitch.criticise.protocols.protocol import Column, Protocol
-from slipstitch.criticise.sensors import DataFinding
 from slipstitch.criticise.traces import prepared
 
 TABLE_BYTES_MAX = 512 * 2**20
@@ -246,6 +246,11 @@ def _read_meta(path: Path) -> dict:
     return meta
 
 
+def is_number(value: object) -> bool:
+    """Whether a value of a JSON file is a finite number."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
 def _nominal(path: Path, meta: dict, tables: dict) -> dict[str, float]:
     given = meta["nominal"]
     for protocol in PROTOCOLS.values():
@@ -256,19 +261,12 @@ def _nominal(path: Path, meta: dict, tables: dict) -> dict[str, float]:
             value = given.get(key)
             if value is None:
                 raise BadInput(f"{path}: nominal.{key}: missing; {protocol.name} needs it")
-            good = isinstance(value, int | float) and not isinstance(value, bool)
-            good = good and math.isfinite(value)
-            if not good or (value <= 0 and key != "ply_exponent"):
+            if not is_number(value) or (value <= 0 and key != "ply_exponent"):
                 raise BadInput(f"{path}: nominal.{key}: {value!r}; must be a positive number")
-    values = {
-        key: float(value)
-        for key, value in given.items()
-        if isinstance(value, int | float) and not isinstance(value, bool)
-    }
-    dwell = meta.get("reversal_dwell_s", meta["nominal"].get("reversal_dwell_s"))
+    values = {key: float(value) for key, value in given.items() if is_number(value)}
+    dwell = meta.get("reversal_dwell_s", given.get("reversal_dwell_s"))
     if dwell is not None:
-        good = isinstance(dwell, int | float) and not isinstance(dwell, bool)
-        if not good or not 0 <= dwell < math.inf:
+        if not is_number(dwell) or dwell < 0:
             raise BadInput(f"{path}: reversal_dwell_s: {dwell!r}; must be a number of at least 0")
         values["reversal_dwell_s"] = float(dwell)
     return values
@@ -281,10 +279,9 @@ def _text_column(path, column, values, lines, measured) -> np.ndarray:
         raise BadInput(f"{path}: column {column.name}: not text") from None
     texts = []
     for code, value in enumerate(found):
-        missing = value is None or (isinstance(value, float) and math.isnan(value))
-        if isinstance(value, float) and not missing and value.is_integer():
+        if isinstance(value, float) and value.is_integer():
             value = int(value)
-        text = "" if missing else str(value).strip()
+        text = "" if value is None or value != value else str(value).strip()
         where = f"{path}: row {lines[int(np.argmax(codes == code))]}: column {column.name}"
         if not text and not column.may_be_empty and not measured:
             raise BadInput(f"{where}: empty")
@@ -299,6 +296,9 @@ def _as_numbers(values: pd.Series) -> np.ndarray:
 
 
 def _number_column(path, column, values, lines, measured) -> np.ndarray:
+    def refuse(row: int, words: str):
+        raise BadInput(f"{path}: row {lines[row]}: column {column.name}: {words}{column.allowed}")
+
     if values.dtype == object or not pd.api.types.is_numeric_dtype(values):
         plain = values if values.dtype == object else values.astype("string")  # dates are none
         numbers = _as_numbers(plain)
@@ -307,29 +307,18 @@ def _number_column(path, column, values, lines, measured) -> np.ndarray:
         given = (texts != "").to_numpy()
         numbers[odd] = _as_numbers(texts)
         empty = np.isin(np.arange(len(numbers)), odd[~given])
-        bad = given & ~np.isfinite(numbers[odd])
-        if bad.any():
-            i = int(np.argmax(bad))
+        for i in np.flatnonzero(given & ~np.isfinite(numbers[odd])):
             spelled_nan = texts.iloc[i].lower() in ("nan", "na", "none", "null")
-            hint = " (leave the cell empty if it was not recorded)" if spelled_nan else ""
-            raise BadInput(
-                f"{path}: row {lines[odd[i]]}: column {column.name}: '{texts.iloc[i]}'; "
-                f"allowed: {column.allowed}{hint}"
-            )
+            hint = "leave the cell empty if it was not recorded; " if spelled_nan else ""
+            refuse(odd[i], f"'{texts.iloc[i]}'; {hint}allowed: ")
     else:
         numbers = values.to_numpy(float)
         empty = np.isnan(numbers)
     if empty.any() and not column.may_be_empty and not measured:
-        row = lines[int(np.argmax(empty))]
-        raise BadInput(f"{path}: row {row}: column {column.name}: empty; needed: {column.allowed}")
+        refuse(int(np.argmax(empty)), "empty; needed: ")
     with np.errstate(invalid="ignore"):
-        outside = (numbers < column.lower) | (numbers > column.upper)
-    if outside.any():
-        i = int(np.argmax(outside))
-        raise BadInput(
-            f"{path}: row {lines[i]}: column {column.name}: {numbers[i]:g}; "
-            f"allowed: {column.allowed}"
-        )
+        for i in np.flatnonzero((numbers < column.lower) | (numbers > column.upper)):
+            refuse(i, f"{numbers[i]:g}; allowed: ")
     return numbers
 
 
@@ -338,15 +327,13 @@ def _check_traces(
 ) -> None:
     (runs_name, runs), (traces_name, traces) = runs_table, traces_table
     known, traced = set(runs["run_id"]), set(traces["run_id"])
-    if traced - known:
-        name = sorted(traced - known)[0]
+    if name := min(traced - known, default=""):
         row = int(np.argmax((traces["run_id"] == name).to_numpy())) + 2
         where = f"{folder / traces_name}.csv: row {row}: column run_id: '{name}'"
         if (folder / traces_name).is_dir():
             where = f"{folder / traces_name}: '{name}'"
         raise BadInput(f"{where} is not in {runs_name}.csv")
-    if known - traced:
-        name = sorted(known - traced)[0]
+    if name := min(known - traced, default=""):
         raise BadInput(
             f"{folder / runs_name}.csv: run_id '{name}' has no rows in {traces_name}.csv"
         )

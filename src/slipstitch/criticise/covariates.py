@@ -1,4 +1,8 @@
-"""Every covariate of a feature: how it is called, drawn, and searched for structure."""
+"""Every covariate of a feature: how it is called and drawn, and the shapes sought along it.
+
+A shape is in no library: bumps, patches, waves and steps. Each is a factor on the friction, so its
+column is d(feature)/d(ln mu) times the shape.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,10 @@ from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
+import pandas as pd
+
+FEWEST_RUNS = 4
+MOST_PARTS, MOST_CYCLES = 16, 20.0
 
 
 @dataclass(frozen=True)
@@ -108,3 +116,149 @@ _ENTRIES = (
 COVARIATES: Mapping[str, Covariate] = MappingProxyType(
     {covariate.name: covariate for covariate in _ENTRIES}
 )
+
+
+@dataclass(frozen=True)
+class Shape:
+    """Columns (n, k) that friction may follow along a covariate, and their form in words.
+
+    ``scanned`` and ``spanned`` are those of :class:`slipstitch.criticise.inference.structure.Test`.
+    """
+
+    covariate: str
+    form: str
+    columns: np.ndarray
+    scanned: bool = False
+    spanned: bool = False
+
+
+def _levels(values: np.ndarray) -> np.ndarray:
+    return np.unique(np.round(values[np.isfinite(values)], 6))
+
+
+def generic_shapes(rows: pd.DataFrame, usable: np.ndarray) -> list[Shape]:
+    """The bank of shapes that a case's covariates allow.
+
+    Parameters
+    ----------
+    rows : one line a feature.
+    usable : (n,) features that friction acts on and that are kept.
+    """
+    shapes: list[Shape] = []
+    for covariate in COVARIATES.values():
+        if covariate.trends and covariate.bumps:
+            shapes += _along(rows, covariate, usable)
+    for covariate in COVARIATES.values():
+        if covariate.trends and not covariate.bumps:
+            shapes += _along(rows, covariate, usable)
+    for covariate in COVARIATES.values():
+        shapes += _waves(rows, covariate, usable)
+    for covariate in COVARIATES.values():
+        if covariate.cycles:
+            shapes += _cycles(rows, covariate, usable)
+    for covariate in COVARIATES.values():
+        if covariate.text:
+            shapes += _steps(rows, covariate)
+    return shapes
+
+
+def _steps(rows, covariate: Covariate) -> list[Shape]:
+    labels = rows[covariate.name]
+    names = [name for name in pd.unique(labels) if name]
+    if not 1 < len(names) <= 6:
+        return []
+    columns = np.column_stack([(labels == name).to_numpy(float) for name in names[1:]])
+    return [Shape(covariate.name, f"a step between {covariate.title}s", columns)]
+
+
+def _along(rows, covariate: Covariate, usable) -> list[Shape]:
+    name = covariate.name
+    values = covariate.searched(rows[name].to_numpy(float))
+    known = np.isfinite(values)
+    levels = _levels(values[known & usable])
+    if len(levels) < 2:
+        return []
+    runs = (rows["protocol"] + "/" + rows["run_id"]).to_numpy()
+    low, high = np.quantile(values[known & usable], [0.0, 1.0])
+    z = np.where(known, (values - low) / max(high - low, 1e-12), 0.5)
+    shapes = []
+    centred = np.where(known, z - 0.5, 0.0)
+    shapes.append(Shape(name, "a trend", centred[:, None]))
+    if len(levels) >= 4:
+        bow = np.where(known, (2 * z - 1) ** 2, 0.0)
+        shapes.append(Shape(name, "a bow", bow[:, None]))
+        if len(levels) >= 5:
+            cubic = np.where(known, (2 * z - 1) ** 3, 0.0)
+            both = np.column_stack([centred, bow, cubic])
+            shapes.append(Shape(name, "an S-shaped curve", both, spanned=True))
+        if covariate.bumps:
+            for width in (0.09, 0.18):
+                for centre in np.linspace(0, 1, 11 if width < 0.1 else 7):
+                    bump = np.where(known, np.exp(-0.5 * ((z - centre) / width) ** 2), 0.0)
+                    # A bump over one or two runs is an outlier, not a shape.
+                    if len(set(runs[usable & (bump > 0.5)])) >= FEWEST_RUNS:
+                        at = low + centre * (high - low)
+                        form = f"a bump at {covariate.plain(at)}"
+                        shapes.append(Shape(name, form, bump[:, None], scanned=True))
+        if covariate.patches:
+            shapes += _patches(covariate, z, known, usable, runs, low, high)
+    elif len(levels) == 3:
+        step = np.where(known, values == levels[1], 0.0).astype(float)
+        form = f"a bump at {covariate.plain(levels[1])}"
+        shapes.append(Shape(name, form, step[:, None], scanned=True))
+    return shapes
+
+
+def _patches(covariate: Covariate, z, known, usable, runs, low, high) -> list[Shape]:
+    """Top hats of every width that the design resolves, half overlapping."""
+    shapes, parts = [], 2
+    while parts <= MOST_PARTS:
+        width, found = 1.0 / parts, []
+        for left in np.arange(2 * parts - 1) * 0.5 * width:
+            inside = known & (z >= left) & (z <= left + width)
+            if len(set(runs[usable & inside])) >= FEWEST_RUNS:
+                ends = [covariate.plain(low + e * (high - low)) for e in (left, left + width)]
+                form = f"a patch from {ends[0]} to {ends[1]}"
+                column = inside.astype(float)[:, None]
+                found.append(Shape(covariate.name, form, column, scanned=True))
+        if not found:
+            break
+        shapes += found
+        parts *= 2
+    return shapes
+
+
+def _waves(rows, covariate: Covariate, usable) -> list[Shape]:
+    if not covariate.waves:
+        return []
+    name = covariate.name
+    values = np.radians(rows[name].to_numpy(float))
+    known = np.isfinite(values)
+    if len(_levels(values[known & usable])) < 2:
+        return []
+    names = {1: "a onefold", 2: "a twofold", 3: "a threefold", 4: "a fourfold"}
+    shapes = []
+    for order in covariate.waves:
+        wave = np.column_stack([np.cos(order * values), np.sin(order * values)])
+        wave = np.where(known[:, None], wave, 0.0)
+        shapes.append(Shape(name, f"{names[order]} direction", wave))
+    return shapes
+
+
+def _cycles(rows, covariate: Covariate, usable) -> list[Shape]:
+    values = rows[covariate.name].to_numpy(float)
+    known = np.isfinite(values)
+    if len(_levels(values[known & usable])) < 8:
+        return []
+    span = np.ptp(values[known & usable])
+    shapes = []
+    # Beyond half as many cycles as places, waves are alike at places that are evenly spread;
+    # a little less, because places are not.
+    most = min(0.4 * len(_levels(values[known & usable])), MOST_CYCLES)
+    for cycles in np.arange(1.0, max(most, 2.5) + 0.25, 0.5):
+        period = span / cycles
+        phase = 2 * np.pi * np.where(known, values, 0.0) / period
+        wave = np.where(known[:, None], np.column_stack([np.cos(phase), np.sin(phase)]), 0.0)
+        form = f"a cycle of {period:.3g} {covariate.unit}"
+        shapes.append(Shape(covariate.name, form, wave, scanned=True))
+    return shapes

@@ -4,21 +4,59 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import yaml
+from scipy.stats import binomtest
 
 from slipstitch import __version__
 from slipstitch.base.provenance import provenance_record, start_clock, write_json, write_text
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.expected_traces import ASSUMPTIONS, assumptions_of, expected
-from slipstitch.criticise.false_alarms import false_alarms
 from slipstitch.criticise.inference.certificate import certificate, of_design, plain_model
-from slipstitch.criticise.measurements import assemble
+from slipstitch.criticise.inference.fit import Fit
+from slipstitch.criticise.inference.mixed_model import Scatter, make_groups
+from slipstitch.criticise.measurements import Measurements, assemble
 from slipstitch.criticise.statement import false_alarm_words, statement
 from slipstitch.criticise.verdict import SIGNIFICANCE, analyse
 from slipstitch.criticise.verdict_data import extended_model, verdict_of
+
+NO_ALARM = ("none", "insufficient")
+
+
+def false_alarms(
+    measurements: Measurements,
+    null: Fit,
+    scatters: dict[str, Scatter],
+    campaigns: int,
+    seed: int,
+    replicates: int,
+) -> dict:
+    """How often campaigns that hold nothing are said to hold something, with a 95 % interval.
+
+    Features are drawn from a fitted null and judged, from the fit of the scatter to the verdict.
+    Instruments and scatters are normal, sensors' zeros as usual; bounds stay what they are.
+    """
+    rng = np.random.default_rng([seed, 23])
+    groups = make_groups(measurements, null.sensitivity())
+    alarms = 0
+    for number in range(campaigns):
+        y = np.where(measurements.lower_bound, measurements.y, null.prediction)
+        for group in groups:
+            zeros = measurements.zero_columns[group.index]
+            drawn = group.drawn(scatters[group.protocol], rng, 1)[:, 0]
+            y[group.index] += drawn + zeros @ rng.standard_normal(zeros.shape[1])
+        campaign = replace(measurements, y=y, rows=measurements.rows.assign(y=y), implausible=())
+        alarms += analyse(campaign, seed + number, replicates).verdict not in NO_ALARM
+    interval = binomtest(alarms, campaigns).proportion_ci(method="wilson")
+    return {
+        "estimate": round(alarms / campaigns, 4),
+        "ci95": [round(float(end), 4) for end in interval],
+        "campaigns": campaigns,
+    }
 
 
 def finite(content: Any) -> Any:
@@ -56,16 +94,15 @@ def criticise_to_files(
     campaigns : int
         Simulated in which nothing is hidden, for the rate of false alarms.
     """
-    started = start_clock()
+    record = partial(_record, case, seed, replicates, campaigns, start_clock())
     analysis = analyse(assemble(case), seed, replicates)
     verdict = verdict_of(case, analysis, seed, __version__)
     if campaigns:
         m = replace(analysis.measurements, sound_sensors=False)
         scatters = analysis.null_state.scatters
         rate = false_alarms(m, analysis.null, scatters, campaigns, seed, replicates)
-        verdict["certificate"]["false_alarm_rate"] = rate.as_dict()
-    record = _record(case, seed, replicates, campaigns, started)
-    write_json(paths.verdict, finite(verdict), record)
+        verdict["certificate"]["false_alarm_rate"] = rate
+    write_json(paths.verdict, finite(verdict), record())
     again = None
     if paths.resimulation:
         from slipstitch.criticise.resimulation import FEWEST_SPECIMENS, resimulate_left_out
@@ -75,20 +112,19 @@ def criticise_to_files(
             again = resimulate_left_out(case, seed, replicates)
             why = f"fewer than {FEWEST_SPECIMENS} specimens: none can be left out"
         summary = again.summary if again else {"case": case.name, "reason": why}
-        record = _record(case, seed, replicates, campaigns, started)
-        write_json(paths.resimulation, finite(summary), record)
+        write_json(paths.resimulation, finite(summary), record())
     if paths.page or paths.picture:
-        from slipstitch.criticise.report import left_over, markdown, page
+        from slipstitch.criticise.report.verdict_page import left_over, markdown, page
 
         if paths.page:
             as_text = Path(paths.page).suffix == ".md"
             text = markdown(case, verdict, analysis) if as_text else page(verdict, analysis, again)
-            write_text(paths.page, text, record)
+            write_text(paths.page, text, record())
         if paths.picture:
-            write_text(paths.picture, left_over(verdict, analysis), record)
+            write_text(paths.picture, left_over(verdict, analysis), record())
     if paths.model:
         text = yaml.safe_dump(extended_model(verdict), sort_keys=False)
-        write_text(paths.model, text, record)
+        write_text(paths.model, text, record())
     return statement(verdict)
 
 
@@ -115,26 +151,22 @@ def power_to_file(case: Case, seed: int, replicates: int, path: str, campaigns: 
     shown = certificate(found, SIGNIFICANCE)
     if campaigns:
         rate = false_alarms(design, plain, scatters, campaigns, seed, replicates)
-        shown["false_alarm_rate"] = rate.as_dict()
+        shown["false_alarm_rate"] = rate
     record = _record(case, seed, replicates, campaigns, started)
     write_json(path, {"case": case.name, "seed": seed, "assumed": assumed, **shown}, record)
     lines = ["assumed (meta.json may say otherwise under design):"]
-    for assumption in ASSUMPTIONS:
-        if assumption.name in assumed:
-            unit = "" if assumption.unit == "1" else f" {assumption.unit}"
-            lines.append(
-                f"  {assumption.name}: {assumed[assumption.name]:g}{unit}, {assumption.meaning}"
-            )
+    for known in ASSUMPTIONS:
+        if known.name in assumed:
+            unit = "" if known.unit == "1" else f" {known.unit}"
+            lines.append(f"  {known.name}: {assumed[known.name]:g}{unit}, {known.meaning}")
     lines.append(f"seen in {100 * shown['power']:.0f} of 100 campaigns like {case.name}, from")
     if not shown["smallest_detectable"]:
         lines[-1] = f"{case.name}: every reading would be only a bound: nothing can be seen"
     for name, entry in shown["smallest_detectable"].items():
-        size = "never" if entry["size"] is None else f"{entry['size']:.3g} {entry['unit']}"
-        named = "only noticed"
-        if entry["named_from"] is not None:
-            named = f"named from {entry['named_from']:.3g} {entry['unit']}"
-        rest = "" if entry["size"] is None else f", {named}"
-        lines.append(f"  {name}: {size}{rest}")
+        size, named_from, unit = (entry[key] for key in ("size", "named_from", "unit"))
+        named = "only noticed" if named_from is None else f"named from {named_from:.3g} {unit}"
+        seen = "never" if size is None else f"{size:.3g} {unit}, {named}"
+        lines.append(f"  {name}: {seen}")
     if campaigns:
         lines.append(false_alarm_words(shown))
     return "\n".join(lines)

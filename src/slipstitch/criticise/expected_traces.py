@@ -17,7 +17,7 @@ import pandas as pd
 from scipy.signal import lfilter
 
 from slipstitch.base.errors import BadInput
-from slipstitch.criticise.case import Case
+from slipstitch.criticise.case import Case, is_number
 from slipstitch.criticise.causes import Bench
 from slipstitch.criticise.measurements import COEFFICIENTS, Measurements, assemble
 from slipstitch.criticise.protocols import PROTOCOLS, incline, strip
@@ -91,8 +91,7 @@ def assumptions_of(case: Case) -> dict[str, float]:
         where = f"{case.name}: meta.json: design.{name}"
         if name not in names:
             raise BadInput(f"{where}: unknown; known: {' '.join(names)}")
-        good = isinstance(value, int | float) and not isinstance(value, bool)
-        if not good or not math.isfinite(value) or not 0 < value < LARGEST:
+        if not is_number(value) or not 0 < value < LARGEST:
             raise BadInput(f"{where}: {value!r}; must be a positive number below {LARGEST:g}")
         low, high = limits.get(name, (0.0, math.inf))
         if not low < value < high:

@@ -10,8 +10,8 @@ import pandas as pd
 from scipy.signal import find_peaks
 
 from slipstitch.criticise.case import Case
+from slipstitch.criticise.causes import Bench, DataFinding
 from slipstitch.criticise.protocols import push
-from slipstitch.criticise.sensors import DataFinding
 from slipstitch.physics import GRAVITY_M_S2
 
 CELLS = {
@@ -136,7 +136,7 @@ def refuted_by_impact(case: Case, coefficient: float) -> list[str]:
     if block is None or coefficient > SMALL_COEFFICIENT:
         return []
     peaks = (block.rows["quantity"] == push.PEAK).to_numpy()
-    impact_mN = 1e3 * block.impact_force(block.cloth_mass_kg + block.added_mass_kg)[peaks]
+    impact_mN = 1e3 * block.impact_force(Bench())[peaks]
     if not peaks.any():
         return []
     share = float(np.median(block.rows["y"].to_numpy(float)[peaks] / impact_mN))

@@ -10,12 +10,18 @@ import pandas as pd
 
 from slipstitch.base.errors import BadInput
 from slipstitch.criticise.case import Case
-from slipstitch.criticise.causes import BENCH_MECHANISMS, MECHANISMS, Bench
+from slipstitch.criticise.causes import (
+    BENCH_MECHANISMS,
+    MECHANISMS,
+    ZEROS,
+    Bench,
+    DataFinding,
+    Zero,
+)
 from slipstitch.criticise.force_cells import cell_faults
 from slipstitch.criticise.plausibility import implausible
 from slipstitch.criticise.protocols import INSTRUMENT_QUANTITIES, PROTOCOLS
 from slipstitch.criticise.protocols.protocol import Block
-from slipstitch.criticise.sensors import ZEROS, DataFinding, Zero
 from slipstitch.physics.friction_law import CONTACT_MECHANISMS, Curve, FrictionLaw, Parameter
 
 REMEMBERED = 64  # predictions of a block

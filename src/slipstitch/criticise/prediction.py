@@ -6,10 +6,11 @@ import hashlib
 import json
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 import pandas as pd
+from pydantic import BaseModel, Field, FiniteFloat, ValidationError, model_validator
 from scipy.stats import t as student
 
 from slipstitch.base.errors import BadInput
@@ -17,13 +18,61 @@ from slipstitch.base.provenance import atomic_path, file_digest, read_json, writ
 from slipstitch.criticise.case import Case, read_case
 from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.inference.discrepancy import predicted_with
-from slipstitch.criticise.inference.fit import jacobian, parameters_of
+from slipstitch.criticise.inference.fit import carried_over
 from slipstitch.criticise.measurements import Measurements, assemble
 from slipstitch.criticise.protocols import PROTOCOLS
 from slipstitch.physics.friction_law.extended_model import curve_of
 
-UNKNOWN_COEFFICIENT_LOG_SD = 1.0
 USUAL_SCATTER = (0.05, 0.03, 1.2)
+COLUMNS = {"null": "null", "extended": "ext"}  # of the models in a table of predictions
+
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+
+
+class _Model(BaseModel):
+    """A fitted model, as it stands in a verdict."""
+
+    causes: list[str]
+    parameters: list[str]
+    values: list[FiniteFloat]
+    covariance: list[list[FiniteFloat]]
+    scatter: dict[str, tuple[FiniteFloat, FiniteFloat, FiniteFloat]]
+    zeros: dict[str, dict[str, tuple[FiniteFloat, FiniteFloat]]] = {}
+
+    @model_validator(mode="after")
+    def _sizes_agree(self):
+        sizes = {len(self.values), len(self.covariance), *map(len, self.covariance)}
+        if sizes != {len(self.parameters)}:
+            raise ValueError
+        return self
+
+
+class _Discrepancy(BaseModel):
+    """A smooth factor on the coefficients, as it stands in a verdict."""
+
+    covariate: Any
+    knots: Any
+    factors: Any
+    ci95: list[tuple[Positive, Positive]]
+    coefficients: dict[str, Positive]
+    scatter: dict[str, tuple[Positive, Positive, Positive]]
+
+    @model_validator(mode="after")
+    def _is_a_curve(self):
+        curve_of(self.model_dump(), "discrepancy")
+        if len(self.ci95) != len(self.knots):
+            raise ValueError
+        return self
+
+
+def _is(kind: type[BaseModel], found: Any) -> bool:
+    """Whether plain data have the shape of what a verdict has."""
+    try:
+        kind.model_validate(found)
+    except (BadInput, ValidationError):
+        return False
+    return True
 
 
 def read_verdict(path: Path) -> dict:
@@ -35,16 +84,20 @@ def read_verdict(path: Path) -> dict:
         If it is missing or holds no models.
     """
     verdict = read_json(path)
-    if isinstance(verdict, dict) and not is_discrepancy(verdict.get("discrepancy")):
+    if not isinstance(verdict, dict):
+        verdict = {}
+    found = verdict.get("discrepancy")
+    none = found is None or (isinstance(found, dict) and found.get("covariate", 0) is None)
+    if not none and not _is(_Discrepancy, found):
         raise BadInput(
             f"{path}: discrepancy: must contain covariate, knots, factors, ci95, coefficients and "
             "scatter, as written by slipstitch criticise"
         )
-    models = verdict.get("models") if isinstance(verdict, dict) else None
+    models = verdict.get("models")
     if not isinstance(models, dict) or not {"null", "extended"} <= set(models):
         raise BadInput(f"{path}: models: missing; must be a file written by slipstitch criticise")
     for name, model in models.items():
-        if not _is_model(model):
+        if not _is(_Model, model):
             raise BadInput(
                 f"{path}: models.{name}: must contain causes, parameters, values, covariance and "
                 "scatter, as written by slipstitch criticise"
@@ -55,65 +108,14 @@ def read_verdict(path: Path) -> dict:
     return verdict
 
 
-def _is_model(model: object) -> bool:
-    """Whether it has the shape of a fitted model."""
-    if not isinstance(model, dict):
-        return False
-    lists: list[Any] = [model.get(key) for key in ("causes", "parameters")]
-    if not all(isinstance(found, list) for found in lists):
-        return False
-    if not all(isinstance(name, str) for found in lists for name in found):
-        return False
-    try:
-        values = np.array(model["values"], dtype=float)
-        covariance = np.array(model["covariance"], dtype=float)
-        scatter = {key: np.array(value, float) for key, value in model["scatter"].items()}
-        zeros = [
-            np.array(value, dtype=float)
-            for own in model.get("zeros", {}).values()
-            for value in own.values()
-        ]
-    except (KeyError, TypeError, ValueError, AttributeError, OverflowError):
-        return False
-    count = len(model["parameters"])
-    return (
-        values.shape == (count,)
-        and covariance.shape == (count, count)
-        and all(value.shape == (3,) for value in scatter.values())
-        and all(value.shape == (2,) for value in zeros)
-        and all(
-            np.isfinite(numbers).all()
-            for numbers in (values, covariance, *scatter.values(), *zeros)
-        )
-    )
-
-
-def is_discrepancy(found: Any) -> bool:
-    """Whether it has the shape of a verdict's smooth factor, or of none."""
-    if found is None or (isinstance(found, dict) and found.get("covariate", 0) is None):
-        return True
-    try:
-        curve_of(found, "discrepancy")
-        band = np.array(found["ci95"], dtype=float)
-        levels = np.array(list(found["coefficients"].values()), dtype=float)
-        scatter = [np.array(value, dtype=float) for value in found["scatter"].values()]
-    except (BadInput, KeyError, TypeError, ValueError, AttributeError):
-        return False
-    return (
-        band.shape == (len(found["knots"]), 2)
-        and all(value.shape == (3,) for value in scatter)
-        and all(np.isfinite(n).all() and (n > 0).all() for n in (band, levels, *scatter))
-    )
-
-
 def predictions(verdict: dict, case: Case) -> pd.DataFrame:
     """One line per run and quantity: run_id, quantity, null and extended mean and total sd."""
     design = assemble(case, measured=False)
     table = design.rows[["run_id", "quantity"]].copy()
-    for name, label in (("null", "null"), ("extended", "ext")):
+    for name, column in COLUMNS.items():
         found = verdict.get("discrepancy") if name == "extended" else None
         mean, sd = predict_model(verdict["models"][name], design, found)
-        table[f"{label}_mean"], table[f"{label}_sd"] = mean, sd
+        table[f"{column}_mean"], table[f"{column}_sd"] = mean, sd
     return table
 
 
@@ -126,32 +128,19 @@ def predict_model(
     """
     causes = tuple(model["causes"])
     known = dict(zip(model["parameters"], model["values"], strict=True))
-    parameters = parameters_of(design, causes)
-    values = np.array([known.get(p.name, p.null) for p in parameters])
-    covariance = np.zeros((len(parameters), len(parameters)))
-    position = {name: j for j, name in enumerate(model["parameters"])}
-    full = np.array(model["covariance"])
-    for a, p in enumerate(parameters):
-        if p.name not in position:
-            covariance[a, a] = UNKNOWN_COEFFICIENT_LOG_SD**2
-            continue
-        for b, q in enumerate(parameters):
-            if q.name in position:
-                covariance[a, b] = full[position[p.name], position[q.name]]
-    named = {p.name: float(v) for p, v in zip(parameters, values, strict=True)}
-    mean = design.predict(named, causes)
+    covariance = np.array(model["covariance"], float).reshape(len(known), len(known))
+    values, columns, covariance = carried_over(design, causes, known, covariance)
+    mean = design.predict(values, causes)
     factor_sd, known_scatter = np.zeros(len(mean)), model["scatter"]
     if discrepancy and discrepancy["covariate"]:
         known_scatter = known_scatter | discrepancy["scatter"]
-        levels = {p.name: named[p.name] for p in parameters if p.coefficient}
+        levels = {p.name: values[p.name] for p in design.null_parameters}
         mean, factor_sd = predicted_with(discrepancy, design, levels)
     own = model.get("zeros", {})
     zeros = np.array(
         [own.get(protocol, {}).get(zero.field, (0.0, 0.0)) for protocol, zero in design.zeros]
     ).reshape(-1, 2)
-    columns = jacobian(design, causes, parameters, values, mean)
-    coefficients = [j for j, p in enumerate(parameters) if p.coefficient]
-    sensitivity = columns[:, coefficients].sum(axis=1)
+    sensitivity = columns[:, : len(design.null_parameters)].sum(axis=1)
     scatter = np.array([known_scatter.get(protocol, USUAL_SCATTER) for protocol in design.protocol])
     variance = (
         (scatter[:, 2] * design.u) ** 2
@@ -160,9 +149,6 @@ def predict_model(
         + (design.zero_columns**2) @ zeros[:, 1] ** 2
     )
     return mean + design.zero_columns @ zeros[:, 0], np.sqrt(variance)
-
-
-MODELS = (("null", "null"), ("extended", "ext"))
 
 
 def _digest(verdict: dict) -> str:
@@ -276,7 +262,7 @@ def score(case_folder: Path, prediction: Path, record: dict) -> dict:
         raise BadInput(f"{case_folder}: nothing that was predicted has been measured")
     found: dict = {key: record[key] for key in record if key not in ("nominal", "runs")}
     found["readings"] = len(both)
-    for name, column in MODELS:
+    for name, column in COLUMNS.items():
         miss, sd = both["y"] - both[f"{column}_mean"], both[f"{column}_sd"]
         both[name] = -0.5 * np.log(2 * np.pi * sd**2) - 0.5 * (miss / sd) ** 2
         errors = (miss**2).groupby(both["quantity"]).mean() ** 0.5
@@ -286,12 +272,12 @@ def score(case_folder: Path, prediction: Path, record: dict) -> dict:
             "error": {quantity: float(f"{error:.5g}") for quantity, error in errors.items()},
         }
     gains = (both["extended"] - both["null"]).groupby(both["specimen_id"]).agg(["sum", "size"])
-    mean = float(gains["sum"].sum() / gains["size"].sum())
-    count = len(gains)
+    count, readings = len(gains), gains["size"].sum()
+    mean = float(gains["sum"].sum() / readings)
     interval = None
     if count > 1:
         spread = np.sqrt(np.sum((gains["sum"] - mean * gains["size"]) ** 2) * count / (count - 1))
-        half = float(student.ppf(0.975, count - 1) * spread / gains["size"].sum())
+        half = float(student.ppf(0.975, count - 1) * spread / readings)
         interval = [round(mean - half, 4), round(mean + half, 4)]
     found |= {"specimens": count, "gain": {"estimate": round(mean, 4), "ci95": interval}}
     return found
@@ -299,14 +285,14 @@ def score(case_folder: Path, prediction: Path, record: dict) -> dict:
 
 def score_words(found: dict) -> str:
     """What the score says, in one sentence."""
-    gain, inside = found["gain"], 100 * found["extended"]["within_95"]
+    gain, interval = found["gain"], found["gain"]["ci95"]
     by = f"{gain['estimate']:+.2f}"
-    if gain["ci95"] is not None:
-        by += f" [{gain['ci95'][0]:.2f}, {gain['ci95'][1]:.2f}]"
-    certain = gain["ci95"] is not None and gain["ci95"][0] > 0
-    what = "the extended model predicts better" if certain else "no gain is certain"
+    what = "no gain is certain"
+    if interval is not None:
+        by += f" [{interval[0]:.2f}, {interval[1]:.2f}]"
+        what = "the extended model predicts better" if interval[0] > 0 else what
     return (
         f"On {found['readings']} readings of {found['specimens']} fresh specimens, predicted "
-        f"before they were looked at, {what}: {by} in log score a reading; {inside:.0f} % lie "
-        "within its 95 % intervals."
+        f"before they were looked at, {what}: {by} in log score a reading; "
+        f"{100 * found['extended']['within_95']:.0f} % lie within its 95 % intervals."
     )

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from slipstitch.base.page.wording import counted, with_interval
-from slipstitch.criticise.causes import MECHANISMS
+from slipstitch.criticise.causes import MECHANISMS, data_words
 from slipstitch.criticise.covariates import COVARIATES
 from slipstitch.criticise.inference.candidates import LEFTOVER_SIGNIFICANCE
 from slipstitch.criticise.inference.discrepancy import discrepancy_words
 from slipstitch.criticise.inference.rivals import TITLES as RIVALS
 from slipstitch.criticise.inference.structure import ERROR_WEIGHTS
 from slipstitch.criticise.measurements import COEFFICIENTS
-from slipstitch.criticise.sensors import data_words
 from slipstitch.criticise.within_runs import departure, words
 
 CLEAR_FALL = 0.8  # of an error, to be worth a headline

@@ -1,20 +1,23 @@
-"""Traces as instruments write them: clocks that step back or stand still, and glitches.
+"""Traces as instruments write them: clocks that step back or stand still, glitches, and noise.
 
 Nothing is sorted, averaged or set aside in silence: whatever is done is a finding about the data.
+How noisy a sensor is, its traces tell: features are read by thresholds and errors that follow its
+uncertainty, and where the noise is far more than stated, slips are seen where none are.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
 from scipy.ndimage import maximum_filter1d, minimum_filter1d
+from scipy.stats import chi2 as chi_square
 
 from slipstitch.base.errors import BadInput
-from slipstitch.criticise.sensors import DataFinding
+from slipstitch.criticise.causes import DataFinding
 
 # A reading this many noises off what its neighbours on either side lead to is a glitch; of normal
 # noise one in ten million is. So are two or three in a row, not more, if they are twice as far
@@ -34,6 +37,12 @@ SWAPPED_STEPS, ANOTHER_ORDER = 2.5, 0.1
 FEW_EQUAL = 0.05
 # The share of |z| of a normal variable below a deviation.
 MOST, MOST_DEVIATION = 0.8, 1.2816
+# Uncertainties are usually stated this much too small; only more is allowed for before reading.
+USUAL_UNDERSTATEMENT = 1.25
+FEWEST_READINGS = 30
+# Median of |z| of a normal variable; beyond as many deviations a trace bends.
+MEDIAN_DEVIATION = 0.6745
+BENDS = 4.0
 
 
 @dataclass(frozen=True)
@@ -281,3 +290,60 @@ def _of_clock(name: str, counts: Counter) -> Iterator[DataFinding]:
     for kind, words in _CLOCK_WORDS.items():
         if count := counts[kind]:
             yield DataFinding(name, "clock", words, "clock", count, (count, count), "1")
+
+
+@dataclass(frozen=True)
+class TraceNoise:
+    """Noise of a sensor over what is stated, with its 95 % interval, and its quantity's name."""
+
+    sensor: str
+    quantity: str
+    factor: float
+    ci95: tuple[float, float]
+
+    @property
+    def allowance(self) -> float:
+        """By what stated uncertainties are multiplied before features are read."""
+        return max(self.factor / USUAL_UNDERSTATEMENT, 1.0)
+
+
+def off_neighbours(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Deviations of readings (n,) from the cubic through two neighbours on each side, (n - 4,).
+
+    They are in units of one reading's noise; places need not be evenly spaced.
+    """
+    if len(x) < 5:
+        return np.zeros(0)
+    places = np.stack([x[:-4], x[1:-3], x[3:-1], x[4:]])
+    values = np.stack([y[:-4], y[1:-3], y[3:-1], y[4:]])
+    middle = x[2:-2]
+    weights = np.ones_like(places)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for i in range(4):
+            for j in range(4):
+                if i != j:
+                    weights[i] *= (middle - places[j]) / (places[i] - places[j])
+        result = (y[2:-2] - (weights * values).sum(axis=0)) / np.sqrt(1 + (weights**2).sum(axis=0))
+    return result[np.isfinite(result)]
+
+
+def noise_of(
+    sensor: str, quantity: str, deviations: Iterable[np.ndarray], robust: bool = True
+) -> TraceNoise:
+    """Noise from deviations in units of what is stated.
+
+    ``robust``: by their median, so that the places where a trace bends do not count.
+    """
+    z = np.concatenate([np.zeros(0), *deviations])
+    if len(z) < FEWEST_READINGS:
+        return TraceNoise(sensor, quantity, 1.0, (0.0, np.inf))
+    if robust:
+        factor = np.median(np.abs(z)) / MEDIAN_DEVIATION
+        z = z[np.abs(z) <= BENDS * factor]
+        factor = np.median(np.abs(z)) / MEDIAN_DEVIATION
+    else:
+        factor = np.sqrt(np.mean(z**2))
+    # A median tells as much as a mean square of a third of the readings; neighbours share them.
+    degrees = len(z) / (7.0 if robust else 1.0)
+    low, high = factor * np.sqrt(degrees / chi_square.ppf([0.975, 0.025], degrees))
+    return TraceNoise(sensor, quantity, float(factor), (float(low), float(high)))

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 
+from slipstitch.criticise.causes import ZEROS, DataFinding, Zero
 from slipstitch.criticise.covariates import COVARIATES
 from slipstitch.criticise.inference.candidates import (
     FORM_SHARE,
@@ -21,12 +22,11 @@ from slipstitch.criticise.inference.candidates import (
     stands_beside,
 )
 from slipstitch.criticise.inference.evidence import SIGNIFICANCE, Evidence
-from slipstitch.criticise.inference.findings import noise_findings, zero_findings
+from slipstitch.criticise.inference.faulty_data import noise_findings, zero_findings
 from slipstitch.criticise.inference.rivals import TITLES
 from slipstitch.criticise.inference.state import State, refit
 from slipstitch.criticise.inference.structure import Outcome
 from slipstitch.criticise.measurements import Measurements
-from slipstitch.criticise.sensors import ZEROS, DataFinding, Zero
 from slipstitch.physics.friction_law import CONTACT_MECHANISMS
 
 # Fewer runs or specimens than these cannot clear the null; fewer than the least, nothing at all.
@@ -49,19 +49,41 @@ class Rule:
 
     Attributes
     ----------
-    name, says : of the rule, and what it says, for the documentation.
-    verdict : that it gives.
+    name, verdict : of the rule, and the verdict that it gives.
+    says : what the rule says, for the documentation.
     reason : of the verdict where the rule applies, None where it does not.
     of_best : the best explanation is reported, not plain friction.
     """
 
     name: str
-    says: str
     verdict: str
+    says: str
     reason: Callable[[Evidence], str | None]
     of_best: bool = False
 
 
+RULES: list[Rule] = []
+
+
+def _rule(name: str, verdict: str, says: str, of_best: bool = False):
+    """Enter a function of the evidence, which gives the reason, as the next rule."""
+
+    def entered(reason: Callable[[Evidence], str | None]):
+        RULES.append(Rule(name, verdict, says, reason, of_best))
+        return reason
+
+    return entered
+
+
+_of_best = partial(_rule, of_best=True)
+
+
+@_rule(
+    "too few runs",
+    "insufficient",
+    f"Fewer than {LEAST_RUNS} runs or 2 specimens; or fewer than {SMALLEST_RUNS} runs or "
+    f"{SMALLEST_SPECIMENS} specimens, and nothing significant.",
+)
 def _too_few(e: Evidence) -> str | None:
     few = e.runs < SMALLEST_RUNS or e.specimens < SMALLEST_SPECIMENS
     if e.runs < LEAST_RUNS or e.specimens < 2 or (few and not e.is_significant):
@@ -72,17 +94,57 @@ def _too_few(e: Evidence) -> str | None:
     return None
 
 
+@_rule("another unit", "insufficient", "Readings or sizes that no cloth and no bench has.")
+def _another_unit(e: Evidence) -> str | None:
+    return "; ".join(e.measurements.implausible) or None
+
+
+@_rule("only bounds", "insufficient", "Every reading is only a bound.")
+def _only_bounds(e: Evidence) -> str | None:
+    return "every reading is only a bound" if e.measurements.lower_bound.all() else None
+
+
+@_rule(
+    "blind design",
+    "insufficient",
+    "Nothing is significant, and not even an effect that doubles the friction would be seen.",
+)
 def _blind(e: Evidence) -> str | None:
-    seen = any(
-        found.on_friction < np.log(2)
-        for name, found in e.detectable.items()
-        if name in CONTACT_MECHANISMS
-    )
-    if e.is_significant or seen:
+    seen = [e.detectable[name].on_friction for name in e.detectable if name in CONTACT_MECHANISMS]
+    if e.is_significant or min(seen, default=np.inf) < np.log(2):
         return None
     return "not even an effect that doubles the friction would have been seen"
 
 
+@_rule(
+    "nothing significant", "none", f"The family-wise p of plain friction is above {SIGNIFICANCE}."
+)
+def _nothing(e: Evidence) -> str | None:
+    return None if e.is_significant else ""
+
+
+@_rule("nothing to test", "unknown", "No mechanism can be tested with these data.")
+def _nothing_to_test(e: Evidence) -> str | None:
+    return None if e.screened else "no mechanism can be tested with these data"
+
+
+@_rule(
+    "no gain",
+    "unknown",
+    f"The BIC of the best explanation, relative to plain friction, is above {WORTH_NAMING:g}.",
+)
+def _no_gain(e: Evidence) -> str | None:
+    if e.best.chosen.bic > WORTH_NAMING:
+        return "no mechanism improves on the null by enough to be named"
+    return None
+
+
+@_of_best(
+    "structure left",
+    "unknown",
+    f"What the best explanation leaves has a family-wise p below {LEFTOVER_SIGNIFICANCE}, and "
+    f"beside that its credit is below {STANDS_BESIDE:g}.",
+)
 def _structure_left(e: Evidence) -> str | None:
     best = e.best
     explained = best.left.global_p >= LEFTOVER_SIGNIFICANCE
@@ -91,6 +153,12 @@ def _structure_left(e: Evidence) -> str | None:
     return "structure is left that no one or two mechanisms remove"
 
 
+@_of_best(
+    "structure left along its own covariate",
+    "unknown",
+    "What is left has a shape along the covariate of a cause that is significant by itself "
+    f"(p below {OWN_SIGNIFICANCE:g}), and more than {100 * FORM_SHARE:g} % of its credit.",
+)
 def _left_along_own(e: Evidence) -> str | None:
     covariate = left_along_own(e.best.chosen, e.best.left)
     if covariate is None:
@@ -98,162 +166,82 @@ def _left_along_own(e: Evidence) -> str | None:
     return f"structure is left along the {COVARIATES[covariate].title}, which the cause acts by"
 
 
+@_of_best(
+    "size may be zero", "unknown", "The 95 % interval of a cause's size contains that of no effect."
+)
 def _may_be_nothing(e: Evidence) -> str | None:
-    unsure = e.unsure()
+    unsure = e.unsure(e.best.chosen)
     return f"the size of {' and '.join(unsure)} may be zero" if unsure else None
 
 
+@_of_best(
+    "differs within runs",
+    "unknown",
+    f"Readings of one run disagree by more than {LARGEST_INSTRUMENT_FACTOR} times their stated "
+    f"uncertainty ({LARGEST_INSTRUMENT_FACTOR * HEAVY_TAILS:g} where a sensor is found noisy), "
+    f"and the credit is below {STANDS_BESIDE:g}.",
+)
 def _differs_within_runs(e: Evidence) -> str | None:
-    largest = dict.fromkeys(e.best.state.scatters, LARGEST_INSTRUMENT_FACTOR)
-    for finding in noise_findings(e.measurements):
-        largest[finding.protocol] = LARGEST_INSTRUMENT_FACTOR * HEAVY_TAILS
-    noisy = {p: s.kappa for p, s in e.best.state.scatters.items() if s.kappa > largest[p]}
+    tails = {finding.protocol: HEAVY_TAILS for finding in noise_findings(e.measurements)}
+    kappas = {name: scatter.kappa for name, scatter in e.best.state.scatters.items()}
+    noisy = [p for p in kappas if kappas[p] > LARGEST_INSTRUMENT_FACTOR * tails.get(p, 1.0)]
     if not noisy or e.best.chosen.credit >= STANDS_BESIDE:
         return None
-    protocol = max(noisy, key=noisy.__getitem__)
+    protocol = max(noisy, key=kappas.__getitem__)
     return (
-        f"readings of one run of {protocol} disagree by {noisy[protocol]:.1f} times their "
+        f"readings of one run of {protocol} disagree by {kappas[protocol]:.1f} times their "
         "stated uncertainty: something differs within runs"
     )
 
 
+@_of_best(
+    "driver not recorded",
+    "unknown",
+    "Another mechanism would do the same, and what drives that one was not recorded.",
+)
 def _driver_not_recorded(e: Evidence) -> str | None:
-    if (found := e.unrecorded_alias()) is None:
+    for cause in e.best.chosen.causes:
+        if alias := e.measurements.unrecorded_alias(cause):
+            return (
+                f"{cause} would explain it, but what would drive {alias} instead was not recorded"
+            )
+    return None
+
+
+@_of_best(
+    "a free shape is better",
+    "unknown",
+    "A shape outside the library describes the data better than any mechanism.",
+)
+def _free_shape(e: Evidence) -> str | None:
+    if explains(e.null_outcome, e.best.chosen, e.measurements):
         return None
-    cause, alias = found
-    return f"{cause} would explain it, but what would drive {alias} instead was not recorded"
+    return "a shape outside the library describes the data better than any mechanism"
 
 
+@_of_best(
+    "a rival takes the evidence",
+    "confounded",
+    "Beside a drift with time, memory of the run before, or the place on the track, the "
+    "evidence for a cause is gone.",
+)
 def _taken(e: Evidence) -> str | None:
     if not e.taken:
         return None
     return (
-        f"beside {' or '.join(TITLES[name] for name in _takers(e))} its evidence is gone; "
+        f"beside {' or '.join(TITLES[name] for name in e.takers)} its evidence is gone; "
         "runs in a random order would tell"
     )
 
 
-def _takers(e: Evidence) -> list[str]:
-    return list(dict.fromkeys(name for names in e.taken.values() for name in names))
+@_of_best("tied", "confounded", f"Another explanation is within {TIE_BIC:g} units of BIC.")
+def _tied(e: Evidence) -> str | None:
+    return "" if len(e.ties) > 1 else None
 
 
-def _where(applies: Callable[[Evidence], bool], why: str = "") -> Callable[[Evidence], str | None]:
-    return lambda e: why if applies(e) else None
-
-
-RULES: tuple[Rule, ...] = (
-    Rule(
-        "too few runs",
-        f"Fewer than {LEAST_RUNS} runs or 2 specimens; or fewer than {SMALLEST_RUNS} runs or "
-        f"{SMALLEST_SPECIMENS} specimens, and nothing significant.",
-        "insufficient",
-        _too_few,
-    ),
-    Rule(
-        "another unit",
-        "Readings or sizes that no cloth and no bench has.",
-        "insufficient",
-        lambda e: "; ".join(e.measurements.implausible) or None,
-    ),
-    Rule(
-        "only bounds",
-        "Every reading is only a bound.",
-        "insufficient",
-        _where(lambda e: bool(e.measurements.lower_bound.all()), "every reading is only a bound"),
-    ),
-    Rule(
-        "blind design",
-        "Nothing is significant, and not even an effect that doubles the friction would be seen.",
-        "insufficient",
-        _blind,
-    ),
-    Rule(
-        "nothing significant",
-        f"The family-wise p of plain friction is above {SIGNIFICANCE}.",
-        "none",
-        _where(lambda e: not e.is_significant),
-    ),
-    Rule(
-        "nothing to test",
-        "No mechanism can be tested with these data.",
-        "unknown",
-        _where(lambda e: not e.screened, "no mechanism can be tested with these data"),
-    ),
-    Rule(
-        "no gain",
-        f"The BIC of the best explanation, relative to plain friction, is above {WORTH_NAMING:g}.",
-        "unknown",
-        _where(
-            lambda e: e.best.chosen.bic > WORTH_NAMING,
-            "no mechanism improves on the null by enough to be named",
-        ),
-    ),
-    Rule(
-        "structure left",
-        f"What the best explanation leaves has a family-wise p below {LEFTOVER_SIGNIFICANCE}, and "
-        f"beside that its credit is below {STANDS_BESIDE:g}.",
-        "unknown",
-        _structure_left,
-        of_best=True,
-    ),
-    Rule(
-        "structure left along its own covariate",
-        "What is left has a shape along the covariate of a cause that is significant by itself "
-        f"(p below {OWN_SIGNIFICANCE:g}), and more than {100 * FORM_SHARE:g} % of its credit.",
-        "unknown",
-        _left_along_own,
-        of_best=True,
-    ),
-    Rule(
-        "size may be zero",
-        "The 95 % interval of a cause's size contains that of no effect.",
-        "unknown",
-        _may_be_nothing,
-        of_best=True,
-    ),
-    Rule(
-        "differs within runs",
-        f"Readings of one run disagree by more than {LARGEST_INSTRUMENT_FACTOR} times their stated "
-        f"uncertainty ({LARGEST_INSTRUMENT_FACTOR * HEAVY_TAILS:g} where a sensor is found noisy), "
-        f"and the credit is below {STANDS_BESIDE:g}.",
-        "unknown",
-        _differs_within_runs,
-        of_best=True,
-    ),
-    Rule(
-        "driver not recorded",
-        "Another mechanism would do the same, and what drives that one was not recorded.",
-        "unknown",
-        _driver_not_recorded,
-        of_best=True,
-    ),
-    Rule(
-        "a free shape is better",
-        "A shape outside the library describes the data better than any mechanism.",
-        "unknown",
-        _where(
-            lambda e: not explains(e.null_outcome, e.best.chosen, e.measurements),
-            "a shape outside the library describes the data better than any mechanism",
-        ),
-        of_best=True,
-    ),
-    Rule(
-        "a rival takes the evidence",
-        "Beside a drift with time, memory of the run before, or the place on the track, the "
-        "evidence for a cause is gone.",
-        "confounded",
-        _taken,
-        of_best=True,
-    ),
-    Rule(
-        "tied",
-        f"Another explanation is within {TIE_BIC:g} units of BIC.",
-        "confounded",
-        _where(lambda e: len(e.ties) > 1),
-        of_best=True,
-    ),
-    Rule("named", "None of the above.", "cause", lambda e: "", of_best=True),
-)
+@_of_best("named", "cause", "None of the above.")
+def _named(e: Evidence) -> str | None:
+    return ""
 
 
 @dataclass(frozen=True)
@@ -289,7 +277,7 @@ class Analysis:
         if self.verdict == "cause" or not e.taken:
             return e.ties
         kept = tuple(c for c in e.best.chosen.causes if c not in e.taken)
-        return [*e.ties, *((*kept, name) for name in _takers(e))]
+        return [*e.ties, *((*kept, name) for name in e.takers)]
 
     @property
     def chosen(self) -> Candidate | None:

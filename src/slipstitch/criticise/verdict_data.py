@@ -7,14 +7,13 @@ import numpy as np
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.causes import BENCH_MECHANISMS, MECHANISMS
 from slipstitch.criticise.covariates import COVARIATES
-from slipstitch.criticise.identifiability import not_exported, not_identified
-from slipstitch.criticise.inference.certificate import certificate
+from slipstitch.criticise.inference.certificate import certificate, separations
 from slipstitch.criticise.inference.discrepancy import embedded_discrepancy
 from slipstitch.criticise.inference.evidence import SIGNIFICANCE
-from slipstitch.criticise.inference.findings import estimated_zeros, scatter_findings
+from slipstitch.criticise.inference.faulty_data import estimated_zeros, scatter_findings
 from slipstitch.criticise.inference.fit import Fit
 from slipstitch.criticise.inference.gain import Gain, held_out_gain, plain_scatters
-from slipstitch.criticise.inference.separation import separations
+from slipstitch.criticise.inference.intervals import not_exported, not_identified
 from slipstitch.criticise.inference.structure import Outcome
 from slipstitch.criticise.verdict import Analysis
 from slipstitch.criticise.within_runs import within_runs
@@ -35,6 +34,14 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
     intervals = analysis.intervals(fitted)
     parameters = intervals.of_sizes()
     unknown = not_identified(intervals.of_parameters() | parameters)
+    by_causes = {c.causes: c for c in analysis.ranking}
+    rivals = [by_causes[c] for c in analysis.alternatives if c in by_causes]
+    separate_by, discrepancy = [], None
+    if analysis.verdict == "confounded":
+        separate_by = separations(case, rivals, analysis.state.scatters)
+    if analysis.verdict == "unknown":
+        measured, null = analysis.measurements, analysis.null
+        discrepancy = embedded_discrepancy(measured, null, analysis.null_state, seed)
     return {
         "case": case.name,
         "spec_version": SPEC_VERSION,
@@ -42,20 +49,9 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
         "verdict": analysis.verdict,
         "causes": list(analysis.causes),
         "alternatives": [list(c) for c in analysis.alternatives],
-        "separate_by": [
-            {
-                "between": [list(s.between[0]), list(s.between[1])],
-                "measure": s.measure,
-                "expected_delta_loglik": s.expected_delta_loglik,
-            }
-            for s in (separations(case, analysis) if analysis.verdict == "confounded" else [])
-        ],
+        "separate_by": separate_by,
         "reason": analysis.reason,
-        "discrepancy": embedded_discrepancy(
-            analysis.measurements, analysis.null, analysis.null_state, seed
-        )
-        if analysis.verdict == "unknown"
-        else None,
+        "discrepancy": discrepancy,
         "parameters": parameters,
         "null": {
             "log_score_per_row": round(gain.null_score, 5),

@@ -15,6 +15,7 @@ from scipy.stats import t as student
 
 from slipstitch.base.page.wording import with_interval
 from slipstitch.criticise.case import Case
+from slipstitch.criticise.causes import Bench
 from slipstitch.criticise.measurements import Measurements
 from slipstitch.criticise.protocols.protocol import masses_of
 from slipstitch.criticise.protocols.push import LEVEL, PEAK, PushBlock
@@ -219,7 +220,7 @@ def _impact(block: PushBlock) -> dict | None:
     if not peaks.any():
         return None
     level = block.rows["run_id"][peaks].map(levels).to_numpy(float)
-    alone = 1e3 * block.impact_force(block.cloth_mass_kg + block.added_mass_kg)[peaks]
+    alone = 1e3 * block.impact_force(Bench())[peaks]
     ratio = 1 + block.rows["y"].to_numpy(float)[peaks] / level
     excess = ratio - 1 - alone / level
     sums = pd.Series(excess).groupby(block.rows["specimen_id"][peaks].to_numpy()).mean()

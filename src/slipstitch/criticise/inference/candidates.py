@@ -10,11 +10,17 @@ import numpy as np
 from scipy.stats import chi2 as chi_square
 
 from slipstitch.criticise.causes import MECHANISMS
-from slipstitch.criticise.inference.alternatives import alternatives, nuisance_columns
 from slipstitch.criticise.inference.fit import Fit, Weights, fit
 from slipstitch.criticise.inference.mixed_model import Scatter, make_groups
 from slipstitch.criticise.inference.ratio import Ratios
-from slipstitch.criticise.inference.state import Refit, State, refit, state_at
+from slipstitch.criticise.inference.state import (
+    Refit,
+    State,
+    alternatives,
+    nuisance_columns,
+    refit,
+    state_at,
+)
 from slipstitch.criticise.inference.structure import Outcome, Test
 from slipstitch.criticise.measurements import Measurements
 

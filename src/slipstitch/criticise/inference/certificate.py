@@ -1,4 +1,4 @@
-"""What a design could have seen, and named: the smallest effects of every mechanism.
+"""What a design could have seen, and named; and what to measure next to tell rivals apart.
 
 An effect is seen where its likelihood ratio is beyond what the maxima simulated for this design and
 noise leave at the limit of the family-wise p, which a non-central chi-squared gives. An effect is
@@ -9,17 +9,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
+import pandas as pd
 from scipy.optimize import brentq
 from scipy.special import chdtri
 from scipy.stats import ncx2, norm
 
+from slipstitch.criticise.case import Case
 from slipstitch.criticise.causes import MECHANISMS
-from slipstitch.criticise.inference.alternatives import alternatives
-from slipstitch.criticise.inference.candidates import TIE_BIC
-from slipstitch.criticise.inference.fit import Fit, jacobian
+from slipstitch.criticise.inference.candidates import TIE_BIC, Candidate
+from slipstitch.criticise.inference.fit import Fit, carried_over, jacobian, named
 from slipstitch.criticise.inference.mixed_model import (
     KAPPA_LIMITS,
     Clusters,
@@ -28,8 +29,11 @@ from slipstitch.criticise.inference.mixed_model import (
     make_groups,
 )
 from slipstitch.criticise.inference.ratio import Ratios
+from slipstitch.criticise.inference.state import alternatives
 from slipstitch.criticise.inference.structure import ERROR_WEIGHTS, Outcome, Test
-from slipstitch.criticise.measurements import Measurements
+from slipstitch.criticise.measurements import Measurements, measurements_of
+from slipstitch.criticise.protocols import PROTOCOLS
+from slipstitch.criticise.protocols.protocol import Protocol
 
 POWER = 0.8
 # Logarithm of the largest change of friction for which an effect counts as one that could be seen:
@@ -39,6 +43,16 @@ LARGEST_CHANGE = np.log(10.0)
 LEAST_SHARE = 0.1
 # Noncentrality beside the closest rival from where on an effect is named at that power.
 NAMED_FROM = (np.sqrt(TIE_BIC) + norm.ppf(POWER)) ** 2
+TRIALS = 5
+COMMON = {
+    "clock_min": 30.0,
+    "repeat_index": 0.0,
+    "orientation_deg": 0.0,
+    "dwell_s": 10.0,
+    "rh_pct": 50.0,
+    "pos_x_mm": 50.0,
+    "operator": "",
+}
 
 
 @dataclass(frozen=True)
@@ -170,10 +184,8 @@ def plain_model(
     """
     parameters = list(design.null_parameters)
     values = np.array([np.log(assumed[p.name]) for p in parameters])
-    named = {p.name: float(value) for p, value in zip(parameters, values, strict=True)}
-    prediction = design.predict(named, ())
-    columns = jacobian(design, (), parameters, values, prediction)
-    none = np.zeros((0, 0))
+    prediction = design.predict(named(parameters, values), ())
+    columns = jacobian(design, (), values)
     scatters = {}
     for block in design.blocks:
         # What the traces themselves tell of the noise is in the features' uncertainties already.
@@ -182,7 +194,7 @@ def plain_model(
         scatters[block.protocol] = Scatter(
             assumed["scatter_specimen"], assumed["scatter_run"], factor
         )
-    return Fit((), parameters, values, 0.0, prediction, columns, none), scatters
+    return Fit((), parameters, values, 0.0, prediction, columns, np.zeros((0, 0))), scatters
 
 
 def of_design(
@@ -225,3 +237,98 @@ def certificate(detectable: dict[str, Detectable], limit: float) -> dict:
             for name, found in sorted(detectable.items())
         },
     }
+
+
+def separations(
+    case: Case, rivals: list[Candidate], scatters: dict[str, Scatter], most_pairs: int = 3
+) -> list[dict]:
+    """The best measurement for each of the closest pairs of rivals, as it stands in the verdict.
+
+    The expected gain is half the squared distance of the two predictions in units of scatter,
+    noise and both fits' uncertainty: ``1/2 d' (V + J_A S_A J_A' + J_B S_B J_B')^-1 d``.
+    """
+    designs = []
+    for protocol in PROTOCOLS.values():
+        for column, levels in protocol.varied:
+            design = _design(case, protocol, column, levels)
+            if design is not None:
+                text = ",".join(f"{level:g}" for level in levels)
+                measure = f"{protocol.name}, {column} in {{{text}}}, {TRIALS} trials each"
+                designs.append((measure, design))
+    checks: dict[str, dict[str, float]] = {}
+    for mechanism in MECHANISMS.values():
+        if mechanism.direct_check is not None:
+            measure, readings = mechanism.direct_check
+            checks.setdefault(measure, {}).update(readings)
+    pairs = list(combinations(rivals, 2))[:most_pairs]
+    predicted = {
+        c.causes: [_predicted(c.fitted, design) for _, design in designs]
+        for c in {c.causes: c for pair in pairs for c in pair}.values()
+    }
+    found = []
+    for a, b in pairs:
+        one, other = a.fitted, b.fitted
+        options = [(_direct(one, other, readings), text) for text, readings in checks.items()]
+        of_both = zip(designs, predicted[a.causes], predicted[b.causes], strict=True)
+        for (text, design), *both in of_both:
+            options.append((_expected(one, design, both, scatters), text))
+        value, measure = max(options)
+        between = [list(a.causes), list(b.causes)]
+        entry = {"between": between, "measure": measure, "expected_delta_loglik": round(value, 2)}
+        found.append(entry)
+    return found
+
+
+def _design(
+    case: Case, protocol: Protocol, column: str, levels: tuple[float, ...]
+) -> Measurements | None:
+    """Trials at levels of a column, all else as is usual in the case."""
+    settings, table = dict(COMMON), case.tables.get(protocol.runs_table)
+    for name, value in protocol.usual_settings.items():
+        own = table[name].dropna() if table is not None and name in table else ()
+        if len(own):
+            value = float(own.median() if name.startswith("u_") else own.mode().iloc[0])
+        settings[name] = value
+    rows = [
+        settings | {column: float(level), "specimen_id": f"N{trial}"}
+        for trial in range(TRIALS)
+        for level in levels
+    ]
+    runs = pd.DataFrame(rows).assign(run_id=[f"n{i}" for i in range(len(rows))])
+    try:
+        block = protocol.features({protocol.runs_table: runs}, case.nominal, False)
+    except KeyError:  # a nominal value that this protocol needs is not given
+        return None
+    block.rows.insert(0, "protocol", protocol.name)
+    return measurements_of([block])
+
+
+def _predicted(fitted: Fit, design: Measurements) -> tuple[np.ndarray, np.ndarray]:
+    """Prediction and the variance that the fit's parameters give it."""
+    known, causes = fitted.as_dict(), fitted.causes
+    values, columns, covariance = carried_over(design, causes, known, fitted.covariance)
+    return design.predict(values, causes), columns @ covariance @ columns.T
+
+
+def _expected(fitted: Fit, design: Measurements, both, scatters: dict[str, Scatter]) -> float:
+    """Gain of a design: ``both`` are prediction and variance of two rivals, one of them fitted."""
+    (one, of_one), (other, of_other) = both
+    scatter = scatters.get(design.protocol[0]) or Scatter(0.04, 0.03, 1.2)
+    known = fitted.as_dict()
+    values = {p.name: known.get(p.name, p.null) for p in design.null_parameters}
+    group = make_groups(design, design.sensitivity(values))[0]
+    variance = group.variance(scatter) + of_one + of_other
+    return float(0.5 * (one - other) @ np.linalg.solve(variance, one - other))
+
+
+def _direct(one: Fit, other: Fit, readings: dict[str, float]) -> float:
+    """Gain of measuring mechanisms themselves: standard deviations by parameter."""
+    total = 0.0
+    for name, sd in readings.items():
+        values, variances = [], []
+        for fitted in (one, other):
+            own = [j for j, p in enumerate(fitted.parameters) if p.name == name]
+            values.append(sum(fitted.values[j] - fitted.parameters[j].null for j in own))
+            variances.append(sum(fitted.covariance[j, j] for j in own))
+        total += 0.5 * (values[0] - values[1]) ** 2 / (sd**2 + sum(variances))
+    return float(total)

@@ -24,8 +24,8 @@ from slipstitch.criticise.inference.certificate import (
     closest_rivals,
     smallest_detectable,
 )
+from slipstitch.criticise.inference.faulty_data import robust_fit
 from slipstitch.criticise.inference.fit import Fit, Weights, fit
-from slipstitch.criticise.inference.heavy_tails import robust_fit
 from slipstitch.criticise.inference.intervals import Intervals
 from slipstitch.criticise.inference.rivals import taken_by_rivals
 from slipstitch.criticise.inference.state import State
@@ -135,7 +135,7 @@ class Evidence:
         chosen, state, left = judge.tested(singles[0], m, rng, self.replicates)
         pairs = fitted_pairs(judge, singles, left)
         accepted = [p for p in pairs if second_is_significant(p, singles, left)]
-        accepted = [p for p in accepted if not self._unsure(p)]
+        accepted = [p for p in accepted if not self.unsure(p)]
         ranking = sorted(singles + pairs, key=lambda c: c.bic)
         if accepted and accepted[0].bic < chosen.bic:
             chosen, state, left = judge.tested(accepted[0], m, rng, self.replicates)
@@ -177,15 +177,10 @@ class Evidence:
         """The parameters of a fit."""
         return Intervals(fitted, self.specimens, self.null_outcome.mechanism_inflation())
 
-    def _unsure(self, candidate: Candidate) -> list[str]:
+    def unsure(self, candidate: Candidate) -> list[str]:
         """Causes of a candidate that may have no size at all."""
-        inflation = self.null_outcome.mechanism_inflation()
-        found = Intervals(candidate.fitted, self.specimens, inflation)
+        found = self.intervals(candidate.fitted)
         return [cause for cause in candidate.causes if found.may_be_nothing(cause)]
-
-    def unsure(self) -> list[str]:
-        """Causes of the best explanation that may have no size at all."""
-        return self._unsure(self.best.chosen)
 
     @cached_property
     def taken(self) -> dict[str, list[str]]:
@@ -193,19 +188,17 @@ class Evidence:
         best = self.best
         return taken_by_rivals(self.measurements, best.chosen.fitted, self.null_state, best.state)
 
+    @property
+    def takers(self) -> list[str]:
+        """The rivals that take evidence."""
+        return list(dict.fromkeys(name for names in self.taken.values() for name in names))
+
     @cached_property
     def ties(self) -> list[tuple[str, ...]]:
         """The best explanation and those that the data do not tell from it."""
         best = self.best
         tied = tied_with(best.chosen, best.rivals, best.judge, best.state)
         return [best.chosen.causes, *(c.causes for c in tied)]
-
-    def unrecorded_alias(self) -> tuple[str, str] | None:
-        """A cause that another mechanism would explain, whose driver was not recorded; which."""
-        for cause in self.best.chosen.causes:
-            if alias := self.measurements.unrecorded_alias(cause):
-                return cause, alias
-        return None
 
     def untestable(self) -> dict[str, str]:
         """Mechanisms that these data cannot tell, and why."""

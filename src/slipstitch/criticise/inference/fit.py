@@ -15,6 +15,7 @@ from slipstitch.physics.friction_law import Parameter
 
 # Most fits take 1 to 3 iterations, one in a hundred more than 14, along a narrow valley up to 50.
 ITERATIONS_MAX = 200
+UNKNOWN_COEFFICIENT_LOG_SD = 1.0
 # Starts of kinked parameters, in units of their scale.
 KINK_STEPS = (0.0, 0.25, -0.25, 0.5, -0.5, 1.0, -1.0, 2.0, -2.0)
 
@@ -121,7 +122,7 @@ class Fit:
 
     def as_dict(self) -> dict[str, float]:
         """Parameter values by name (mu as logarithms)."""
-        return {p.name: float(v) for p, v in zip(self.parameters, self.values, strict=True)}
+        return named(self.parameters, self.values)
 
     def sensitivity(self) -> np.ndarray:
         """d(feature)/d(ln mu), (n,)."""
@@ -129,29 +130,44 @@ class Fit:
         return self.jacobian[:, own].sum(axis=1)
 
 
-def jacobian(
-    measurements: Measurements,
-    causes: tuple[str, ...],
-    parameters: list[Parameter],
-    values: np.ndarray,
-    prediction: np.ndarray,
-) -> np.ndarray:
+def named(parameters: list[Parameter], values: np.ndarray) -> dict[str, float]:
+    """Values by the names of their parameters."""
+    return {p.name: float(value) for p, value in zip(parameters, values, strict=True)}
+
+
+def jacobian(measurements: Measurements, causes: tuple[str, ...], values: np.ndarray) -> np.ndarray:
     """d(prediction)/d(parameters), (n, p), by central differences of a tenth of each scale.
 
     Central, because slips have a kink where static and kinetic friction are equal: the null.
     """
+    parameters = parameters_of(measurements, causes)
     columns = []
     for j, parameter in enumerate(parameters):
         ends = []
-        for sign in (1.0, -1.0):
+        for step in (0.1 * parameter.scale, -0.1 * parameter.scale):
             moved = values.copy()
-            moved[j] = np.clip(
-                moved[j] + sign * 0.1 * parameter.scale, parameter.lower, parameter.upper
-            )
-            named = {p.name: float(v) for p, v in zip(parameters, moved, strict=True)}
-            ends.append((moved[j], measurements.predict(named, causes)))
+            moved[j] = np.clip(moved[j] + step, parameter.lower, parameter.upper)
+            ends.append((moved[j], measurements.predict(named(parameters, moved), causes)))
         columns.append((ends[0][1] - ends[1][1]) / (ends[0][0] - ends[1][0]))
-    return np.column_stack(columns) if columns else np.zeros((len(prediction), 0))
+    return np.column_stack(columns)
+
+
+def carried_over(
+    design: Measurements, causes: tuple[str, ...], known: dict[str, float], covariance: np.ndarray
+) -> tuple[dict[str, float], np.ndarray, np.ndarray]:
+    """Parameters of a fit for other measurements: values by name, Jacobian and covariance.
+
+    A coefficient that the fit has not (``known``: by name, in the order of ``covariance``) is as
+    usual, its logarithm with a standard deviation of :data:`UNKNOWN_COEFFICIENT_LOG_SD`.
+    """
+    parameters = parameters_of(design, causes)
+    values = np.array([known.get(p.name, p.null) for p in parameters])
+    places = {name: j for j, name in enumerate(known)}
+    own = [i for i, p in enumerate(parameters) if p.name in places]
+    index = [places[parameters[i].name] for i in own]
+    whole = UNKNOWN_COEFFICIENT_LOG_SD**2 * np.eye(len(parameters))
+    whole[np.ix_(own, own)] = covariance[np.ix_(index, index)]
+    return named(parameters, values), jacobian(design, causes, values), whole
 
 
 def fit(
@@ -178,13 +194,12 @@ def fit(
     values = np.array([start.get(p.name, p.null) for p in parameters])
 
     def evaluate(v):
-        named = {p.name: float(x) for p, x in zip(parameters, v, strict=True)}
-        prediction = measurements.predict(named, causes)
+        prediction = measurements.predict(named(parameters, v), causes)
         prior = (v - null) / width
         return prediction, weights.chi2(prediction), float(prior @ prior)
 
     def normal_equations():
-        columns = jacobian(measurements, causes, parameters, values, prediction)
+        columns = jacobian(measurements, causes, values)
         curvature, descent = weights.normal_equations(columns, prediction)
         return columns, curvature + np.diag(1 / width**2), descent - (values - null) / width**2
 

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.stats import t as student
 
 from slipstitch.criticise.inference.candidates import Candidate
-from slipstitch.criticise.inference.findings import without_zeros
+from slipstitch.criticise.inference.faulty_data import without_zeros
 from slipstitch.criticise.inference.fit import Fit, fit
 from slipstitch.criticise.inference.mixed_model import (
     Scatter,

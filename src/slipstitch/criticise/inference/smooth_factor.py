@@ -16,7 +16,6 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from slipstitch.criticise.covariates import COVARIATES, Covariate
-from slipstitch.criticise.inference.alternatives import nuisance_columns
 from slipstitch.criticise.inference.fit import Fit
 from slipstitch.criticise.inference.mixed_model import (
     START_SCATTER,
@@ -27,6 +26,7 @@ from slipstitch.criticise.inference.mixed_model import (
     make_groups,
     zeros_of,
 )
+from slipstitch.criticise.inference.state import nuisance_columns
 from slipstitch.criticise.inference.structure import Test
 from slipstitch.criticise.measurements import Measurements
 from slipstitch.physics.friction_law import Curve

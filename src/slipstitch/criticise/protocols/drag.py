@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slipstitch.criticise.causes import Bench
 from slipstitch.criticise.protocols.drag_trace import (
     DEPARTURE_NOISES,
     Feature,
@@ -16,23 +15,22 @@ from slipstitch.criticise.protocols.drag_trace import (
     trace_features,
 )
 from slipstitch.criticise.protocols.protocol import (
-    ANGLE_DEG,
     RUN_COLUMNS,
-    Block,
+    LoadedBlock,
     Protocol,
     Quantity,
-    conditions_of,
+    azimuth,
+    contacts_of,
     covariates_of,
     downhill_rad,
     feature_rows,
+    masses_of,
     number,
     sampled,
     text,
 )
-from slipstitch.criticise.protocols.trace_noise import TraceNoise, noise_of
-from slipstitch.criticise.traces import Signal
+from slipstitch.criticise.traces import Signal, TraceNoise, noise_of
 from slipstitch.physics import GRAVITY_M_S2
-from slipstitch.physics.friction_law import Contact, FrictionLaw
 
 PLATEAUS = ("force_plateau_mN", "force_back_plateau_mN")
 SLIPS = ("force_first_slip_mN", "force_reversal_slip_mN")
@@ -42,26 +40,9 @@ BACK = ("force_reversal_slip_mN", "force_back_plateau_mN")
 DESIGN_QUANTITIES = ("force_plateau_mN", "force_first_slip_mN")
 
 
-def cell_reading(
-    law: FrictionLaw,
-    contact: Contact,
-    static: bool,
-    direction: float,
-    tilt_downhill_rad: np.ndarray | float,
-    bench: Bench,
-) -> np.ndarray:
-    """Cell reading while sliding (or at the point of slip), ``direction`` +1 or -1.
-
-    ``(1 + gain)(direction F - N sin tilt) + offset``, tilt positive where stage +x runs downhill.
-    """
-    friction = law.force_limit(contact, static)
-    along = direction * friction - np.asarray(contact.normal_force_N) * np.sin(tilt_downhill_rad)
-    return (1.0 + bench.force_gain) * along + bench.force_offset_N
-
-
 @dataclass
-class DragBlock(Block):
-    """Drag features; contacts at rest and in motion per row."""
+class DragBlock(LoadedBlock):
+    """Drag features."""
 
     READS = (
         "mass_error",
@@ -75,11 +56,6 @@ class DragBlock(Block):
         "force_drift_N_h",
     )
 
-    at_rest: Contact
-    in_motion: Contact
-    areal_mass_kg_m2: float
-    area_m2: np.ndarray
-    added_mass_kg: np.ndarray
     threshold_N: np.ndarray
     grid_step: np.ndarray
     grid_point: np.ndarray
@@ -88,13 +64,16 @@ class DragBlock(Block):
 
     def predict(self, law, bench):
         quantity = self.rows["quantity"].to_numpy()
-        mass = self.areal_mass_kg_m2 * (1 + bench.mass_error) * self.area_m2 + self.added_mass_kg
-        load = mass * GRAVITY_M_S2
+        load, rest, motion = self.pressed(bench)
         tilt = downhill_rad(bench, self.rows["stage_azimuth_deg"].to_numpy(float))
-        rest, motion = self.at_rest.with_load(load), self.in_motion.with_load(load)
         direction = np.where(np.isin(quantity, BACK), -1.0, 1.0)
-        moving = 1e3 * cell_reading(law, motion, False, direction, tilt, bench)
-        slipping = 1e3 * cell_reading(law, rest, True, direction, tilt, bench)
+
+        def cell_reading(friction):
+            along = direction * friction - load * np.sin(tilt)
+            return 1e3 * ((1.0 + bench.force_gain) * along + bench.force_offset_N)
+
+        moving = cell_reading(law.force_limit(motion, static=False))
+        slipping = cell_reading(law.force_limit(rest, static=True))
         # A slider that starts below its kinetic friction is pulled on to it; a departure is seen
         # once the trace is the threshold below the line.
         slipping = direction * np.maximum(direction * slipping, direction * moving)
@@ -152,57 +131,40 @@ def features(tables, nominal, measured) -> DragBlock | None:
     runs, traces = tables["drag_runs"], tables.get("drag") if measured else None
     common = covariates_of(runs, "stage_azimuth_deg")
     common["stage_azimuth_deg"] = runs["stage_azimuth_deg"].to_numpy(float)
-    common["speed_mm_s"] = runs["speed_mm_s"].to_numpy(float)
-    common["area_m2"] = runs["area_cm2"].to_numpy(float) * 1e-4
-    common["added_kg"] = runs["added_mass_g"].to_numpy(float) * 1e-3
-    common["u_mN"] = runs["u_force_mN"].to_numpy(float)
-    lines, noises = [], ()
+    u, spring = runs["u_force_mN"].to_numpy(float), nominal["k_tether_N_m"]
+    noises = ()
     if traces is None:
-        for i in range(len(runs)):
-            for quantity in DESIGN_QUANTITIES:
-                lines.append((i, quantity, Feature(np.nan, common["u_mN"].iloc[i])))
+        lines = [(i, q, Feature(np.nan, u[i])) for i in range(len(runs)) for q in DESIGN_QUANTITIES]
     else:
-        spring, stated = nominal["k_tether_N_m"], common["u_mN"].to_numpy()
-        lines, noise = _read(runs["run_id"], traces, spring, stated)
-        common["u_mN"] *= noise.allowance
-        noises = (noise,)
+        lines, noise = _read(runs["run_id"], traces, spring, u)
+        u, noises = u * noise.allowance, (noise,)
     if not lines:
         return None
     found = [feature for _, _, feature in lines]
     lines = [(run, quantity, f.value, f.uncertainty) for run, quantity, f in lines]
-    _, rows = feature_rows(common, lines)
+    index, rows = feature_rows(common, lines)
     returning = rows["quantity"].isin(RETURNING).to_numpy()
-    slipping = rows["quantity"].isin(SLIPS).to_numpy()
-    rows["static"] = slipping
-    rows["orientation_deg"] = rows["orientation_deg"] + np.where(returning, 180.0, 0.0)
-    rows["azimuth_deg"] = rows["azimuth_deg"] + np.where(returning, 180.0, 0.0)
+    for name in ("orientation_deg", "azimuth_deg"):
+        rows[name] = rows[name] + np.where(returning, 180.0, 0.0)
     reversal_dwell = nominal.get("reversal_dwell_s", np.nan)
-    dwell = np.where(returning, reversal_dwell, rows["dwell_s"])
-    rows["dwell_s"] = np.where(slipping, dwell, np.nan)
-    speed = rows["speed_mm_s"].to_numpy(float)
-    rows["speed_mm_s"] = np.where(slipping, np.nan, speed)
-    load = nominal["rho_kg_m2"] * rows["area_m2"] + rows["added_kg"]
-    contact = {
-        "normal_force_N": load.to_numpy(float) * GRAVITY_M_S2,
-        "area_m2": rows["area_m2"].to_numpy(float),
-        **conditions_of(rows),
-    }
-    at_rest = Contact(dwell_s=dwell.astype(float), **contact)
-    in_motion = Contact(speed_m_s=speed * 1e-3, **contact)
+    rows["dwell_s"] = np.where(returning, reversal_dwell, rows["dwell_s"])
+    cloth, added = (mass[index] for mass in masses_of(runs, nominal))
+    load, area = (cloth + added) * GRAVITY_M_S2, runs["area_cm2"].to_numpy(float)[index] * 1e-4
+    slipping = rows["quantity"].isin(SLIPS).to_numpy()
+    at_rest, in_motion = contacts_of(rows, slipping, load, area)
     rows["load_ratio"] = at_rest.load_ratio()
     block = DragBlock(
         "drag",
         rows,
         at_rest,
         in_motion,
-        nominal["rho_kg_m2"],
-        rows["area_m2"].to_numpy(float),
-        rows["added_kg"].to_numpy(float),
-        DEPARTURE_NOISES * 1e-3 * rows["u_mN"].to_numpy(float) * (0.0 if traces is None else 1.0),
+        cloth,
+        added,
+        DEPARTURE_NOISES * 1e-3 * u[index] * (0.0 if traces is None else 1.0),
         np.array([feature.grid_step for feature in found]),
         np.array([feature.grid_point for feature in found]),
         np.array([feature.ramp_mN for feature in found]),
-        nominal["k_tether_N_m"],
+        spring,
     )
     block.trace_noises = noises
     return block
@@ -214,11 +176,11 @@ DRAG = Protocol(
     {
         "drag_runs": (
             *RUN_COLUMNS,
-            number("stage_azimuth_deg", *ANGLE_DEG, True),
-            number("area_cm2", 1e-3, 1e5),
-            number("added_mass_g", 0, 1e5),
-            number("speed_mm_s", 1e-6, 1e4, True),
-            number("u_force_mN", 1e-6, 1e5),
+            azimuth("stage_azimuth_deg"),
+            number("area_cm2", 1e-3, 1e5, usual=100.0),
+            number("added_mass_g", 0, 1e5, usual=20.0),
+            number("speed_mm_s", 1e-6, 1e4, True, usual=10.0),
+            number("u_force_mN", 1e-6, 1e5, usual=0.3),
         ),
         "drag": (
             text("run_id", may_be_empty=False),
@@ -241,13 +203,6 @@ DRAG = Protocol(
     ),
     features=features,
     signals=(Signal("force_mN", "force cell", "u_force_mN"),),
-    usual_settings={
-        "stage_azimuth_deg": 0.0,
-        "area_cm2": 100.0,
-        "added_mass_g": 20.0,
-        "speed_mm_s": 10.0,
-        "u_force_mN": 0.3,
-    },
     varied=(
         ("speed_mm_s", (1, 3, 10, 30)),
         ("added_mass_g", (0, 10, 30, 100)),

@@ -10,11 +10,11 @@ import pandas as pd
 
 from slipstitch.criticise.protocols.dragged_cloth import rest_state, sliding_state, sticking_path
 from slipstitch.criticise.protocols.protocol import (
-    ANGLE_DEG,
     RUN_COLUMNS,
     Block,
     Protocol,
     Quantity,
+    azimuth,
     conditions_of,
     covariates_of,
     downhill_rad,
@@ -23,8 +23,7 @@ from slipstitch.criticise.protocols.protocol import (
     sampled,
     text,
 )
-from slipstitch.criticise.protocols.trace_noise import noise_of, off_neighbours
-from slipstitch.criticise.traces import Signal
+from slipstitch.criticise.traces import Signal, noise_of, off_neighbours
 from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.friction_law import Contact
 
@@ -34,18 +33,22 @@ MOTION_NOISES = 5.0
 SURELY_STUCK_NOISES = MOTION_NOISES + 2.0
 # What the forward model needs of a run, where its frames do not tell.
 UNSEEN = {
-    "stage": 200.0,
-    "turn": np.nan,
-    "threshold": 0.0,
-    "stuck": np.zeros(0),
-    "grid": (0.0, 0.0),
+    "stage_mm": 200.0,
+    "turn_mm": np.nan,
+    "threshold_mm": 0.0,
+    "stuck_mm": np.zeros(0),
+    "grid_step": 0.0,
+    "grid_point": 0.0,
 }
 DESIGN_QUANTITIES = ("lag_mm", "contact_len_mm")
 
 
 @dataclass
 class DropDragBlock(Block):
-    """Drop-and-drag features; the geometry is per run, ``run`` maps a feature to its run."""
+    """Drop-and-drag features; ``run`` maps a feature to its run.
+
+    ``runs`` has a line a run: height, azimuth, speed, and what :data:`UNSEEN` has.
+    """
 
     READS = (
         "mass_error",
@@ -62,28 +65,21 @@ class DropDragBlock(Block):
     )
 
     run: np.ndarray
+    runs: pd.DataFrame
     at_rest: Contact
     in_motion: Contact
     areal_mass_kg_m2: float
     bending_Nm: float
     cloth_length_m: float
-    height_m: np.ndarray
-    azimuth_deg: np.ndarray
-    speed_mm_s: np.ndarray
-    stage_mm: np.ndarray
-    turn_mm: np.ndarray
-    threshold_mm: np.ndarray
-    stuck_mm: list[np.ndarray]
-    grid_mm: np.ndarray
     path: tuple | None = None  # the last sticking path and the fabric it belongs to
 
     def predict(self, law, bench):
-        n = len(self.height_m)
+        n, runs = len(self.runs), {name: own.to_numpy() for name, own in self.runs.items()}
         weight = np.full(n, self.areal_mass_kg_m2 * (1 + bench.mass_error) * GRAVITY_M_S2)
         bending = np.full(n, self.bending_Nm * (1 + bench.bending_error))
-        length = np.full(n, self.cloth_length_m)
-        tilt = downhill_rad(bench, self.azimuth_deg)
-        fabric = (weight, bending, length, self.height_m)
+        length, height_m = np.full(n, self.cloth_length_m), 1e-3 * runs["height_mm"]
+        tilt = downhill_rad(bench, runs["azimuth_deg"])
+        fabric = (weight, bending, length, height_m)
         rest_distance, _ = rest_state(*fabric, tilt)
         distance, contact = sliding_state(law, *fabric, self.in_motion, False, tilt)
         slip_distance = distance
@@ -91,21 +87,21 @@ class DropDragBlock(Block):
             slip_distance, _ = sliding_state(law, *fabric, self.at_rest, True, tilt)
         lag = 1e3 * (distance - rest_distance)
         slip = np.maximum(1e3 * (slip_distance - rest_distance), lag)
-        scale, late = bench.camera_scale, bench.time_lag_s * self.speed_mm_s
+        scale, late = bench.camera_scale, bench.time_lag_s * runs["speed_mm_s"]
         start_mm, edge_zero = 1e3 * bench.stage_zero_m, 1e3 * bench.edge_zero_m
         contact_zero = 1e3 * bench.contact_zero_m
         late = np.where(np.isnan(late), 0.0, late) + start_mm
-        edge_mm = scale * (self.stage_mm - lag - late) + edge_zero
-        turn_mm = self.turn_mm - start_mm - 1e3 * bench.turn_early_m
+        edge_mm = scale * (runs["stage_mm"] - lag - late) + edge_zero
+        turn_mm = runs["turn_mm"] - start_mm - 1e3 * bench.turn_early_m
         jump = (slip - lag) * scale
         values = {
-            "lag_mm": self.stage_mm - edge_mm,
+            "lag_mm": runs["stage_mm"] - edge_mm,
             "edge_slope": np.full(n, scale),
             "contact_len_mm": 1e3 * contact * scale + contact_zero,
             "first_motion_mm": sampled(
-                slip + late + np.maximum(self.threshold_mm - jump, 0.0) / scale,
-                self.grid_mm[:, 0],
-                self.grid_mm[:, 1],
+                slip + late + np.maximum(runs["threshold_mm"] - jump, 0.0) / scale,
+                runs["grid_step"],
+                runs["grid_point"],
             ),
             "edge_at_turn_mm": scale * (turn_mm - lag) + edge_zero,
         }
@@ -116,9 +112,9 @@ class DropDragBlock(Block):
             result[here] = value[self.run[here]]
         here = np.flatnonzero(quantity == "stuck_contact_mm")
         if len(here):
-            behind = late + np.nan_to_num(bench.contact_delay_s * self.speed_mm_s)
+            behind = late + np.nan_to_num(bench.contact_delay_s * runs["speed_mm_s"])
             set_up, which = np.unique(
-                np.column_stack([self.height_m, tilt.round(12)]), axis=0, return_inverse=True
+                np.column_stack([height_m, tilt.round(12)]), axis=0, return_inverse=True
             )
             key = (
                 bench.mass_error,
@@ -132,7 +128,7 @@ class DropDragBlock(Block):
             advance, flat = self.path[1]
             for i in here:
                 r = self.run[i]
-                since = 1e-3 * np.maximum(self.stuck_mm[r] - behind[r], 0.0)
+                since = 1e-3 * np.maximum(runs["stuck_mm"][r] - behind[r], 0.0)
                 stuck = np.interp(since, advance[which[r]], flat[which[r]])
                 result[i] = 1e3 * scale * (stuck.sum() / len(stuck)) + contact_zero
         return result
@@ -141,7 +137,7 @@ class DropDragBlock(Block):
 def _frames(frames: pd.DataFrame, u: float, u_contact: float) -> tuple[dict, dict]:
     """Features of one run and the numbers that their forward model needs."""
     features: dict[str, tuple[float, float]] = {}
-    setting = UNSEEN | {"threshold": MOTION_NOISES * u}
+    setting = UNSEEN | {"threshold_mm": MOTION_NOISES * u}
     forward = frames[frames["phase"] == "fwd"].sort_values("x_stage_mm", kind="stable")
     x, te = forward["x_stage_mm"].to_numpy(), forward["te_x_mm"].to_numpy()
     contact = forward["contact_len_mm"].to_numpy()
@@ -159,9 +155,9 @@ def _frames(frames: pd.DataFrame, u: float, u_contact: float) -> tuple[dict, dic
         )
         # What is not yet seen to move may do so.
         stuck = x < min(x[first - 1] - SURELY_STUCK_NOISES * u, 0.8 * x[first])
-        setting["grid"] = (x[first] - x[first - 1], x[first])
+        setting |= {"grid_step": x[first] - x[first - 1], "grid_point": x[first]}
         if stuck.any():
-            setting["stuck"] = x[stuck]
+            setting["stuck_mm"] = x[stuck]
             features["stuck_contact_mm"] = (contact[stuck].mean(), u_contact / np.sqrt(stuck.sum()))
     steady = (x > x[first] + 0.15 * (x[-1] - x[first])) & (x < x[-1] - TURN_MARGIN_MM)
     if steady.sum() >= 4:
@@ -169,7 +165,7 @@ def _frames(frames: pd.DataFrame, u: float, u_contact: float) -> tuple[dict, dic
         centre = xs.mean()
         spread = float(((xs - centre) ** 2).sum())
         slope = float(((xs - centre) * (ts - ts.mean())).sum() / spread)
-        setting["stage"] = float(centre)
+        setting["stage_mm"] = float(centre)
         features["lag_mm"] = (float(centre - ts.mean()), u / np.sqrt(len(xs)))
         features["edge_slope"] = (slope, u / np.sqrt(spread))
         features["contact_len_mm"] = (float(contact[steady].mean()), u_contact / np.sqrt(len(xs)))
@@ -179,7 +175,7 @@ def _frames(frames: pd.DataFrame, u: float, u_contact: float) -> tuple[dict, dic
         turn, turn_error = _turn(forward, back)
         early = (turn - xb > 4.0) & (turn - xb < 0.6 * lag)
         if early.any() and np.isfinite(turn_error):
-            setting["turn"] = turn
+            setting["turn_mm"] = turn
             features["edge_at_turn_mm"] = (
                 float(tb[early].mean()),
                 float(np.hypot(u / np.sqrt(early.sum()), turn_error)),
@@ -219,7 +215,6 @@ def features(tables, nominal, measured) -> DropDragBlock | None:
     """Features of every run; without frames, the quantities of the design."""
     runs, frames = tables["drop_drag_runs"], tables.get("drop_drag") if measured else None
     common = covariates_of(runs, "stage_azimuth_deg")
-    common["speed_mm_s"] = runs["speed_mm_s"].to_numpy(float)
     common["height_mm"] = runs["height_mm"].to_numpy(float)
     u_pos = runs["u_pos_mm"].to_numpy(float)
     lines, settings = [], []
@@ -245,25 +240,17 @@ def features(tables, nominal, measured) -> DropDragBlock | None:
     rows["dwell_s"] = np.where(static, rows["dwell_s"], np.nan)
     rows["speed_mm_s"] = np.where(static, np.nan, rows["speed_mm_s"])
     contact = {"normal_force_N": np.nan, **conditions_of(common)}
-    weight = nominal["rho_kg_m2"] * GRAVITY_M_S2
-    rows["load_ratio"] = weight / 50.0
+    rows["load_ratio"] = nominal["rho_kg_m2"] * GRAVITY_M_S2 / 50.0
     block = DropDragBlock(
         "drop_drag",
         rows,
         index,
+        common.join(pd.DataFrame(settings)),
         Contact(dwell_s=common["dwell_s"].to_numpy(float), **contact),
         Contact(speed_m_s=common["speed_mm_s"].to_numpy(float) * 1e-3, **contact),
         nominal["rho_kg_m2"],
         nominal["B_Nm"],
         nominal["cloth_length_m"],
-        common["height_mm"].to_numpy(float) * 1e-3,
-        common["azimuth_deg"].to_numpy(float),
-        common["speed_mm_s"].to_numpy(float),
-        np.array([setting["stage"] for setting in settings]),
-        np.array([setting["turn"] for setting in settings]),
-        np.array([setting["threshold"] for setting in settings]),
-        [setting["stuck"] for setting in settings],
-        np.array([setting["grid"] for setting in settings], dtype=float),
     )
     block.trace_noises = noises
     return block
@@ -275,10 +262,10 @@ DROP_DRAG = Protocol(
     {
         "drop_drag_runs": (
             *RUN_COLUMNS,
-            number("stage_azimuth_deg", *ANGLE_DEG, True),
-            number("height_mm", 1, 1e4),
-            number("speed_mm_s", 1e-6, 1e4, True),
-            number("u_pos_mm", 1e-6, 1e3),
+            azimuth("stage_azimuth_deg"),
+            number("height_mm", 1, 1e4, usual=100.0),
+            number("speed_mm_s", 1e-6, 1e4, True, usual=10.0),
+            number("u_pos_mm", 1e-6, 1e3, usual=0.3),
         ),
         "drop_drag": (
             text("run_id", may_be_empty=False),
@@ -304,11 +291,5 @@ DROP_DRAG = Protocol(
         Signal("te_x_mm", "edge camera", "u_pos_mm"),
         Signal("contact_len_mm", "contact camera", "u_pos_mm"),
     ),
-    usual_settings={
-        "stage_azimuth_deg": 0.0,
-        "height_mm": 100.0,
-        "speed_mm_s": 10.0,
-        "u_pos_mm": 0.3,
-    },
     varied=(("height_mm", (70, 100, 130)), ("speed_mm_s", (3, 10, 30))),
 )

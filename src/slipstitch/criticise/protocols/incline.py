@@ -7,12 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from slipstitch.criticise.protocols.protocol import (
-    ANGLE_DEG,
     RUN_COLUMNS,
     USUAL_AREA_M2,
     Block,
     Protocol,
     Quantity,
+    azimuth,
     conditions_of,
     covariates_of,
     downhill_rad,
@@ -51,11 +51,6 @@ def slip_angle_rad(
     return slope
 
 
-def reading_deg(slope_rad: np.ndarray, tilt_downhill_rad: np.ndarray | float) -> np.ndarray:
-    """What the protractor says where the base already falls ``tilt_downhill_rad`` that way."""
-    return np.degrees(slope_rad - tilt_downhill_rad)
-
-
 @dataclass
 class InclineBlock(Block):
     """Slip angles; ``contact`` and masses per row."""
@@ -71,7 +66,8 @@ class InclineBlock(Block):
         mass = self.areal_mass_kg_m2 * (1 + bench.mass_error) * self.area_m2 + self.added_mass_kg
         slope = slip_angle_rad(law, mass * GRAVITY_M_S2, self.contact)
         tilt = downhill_rad(bench, self.rows["azimuth_deg"].to_numpy(float))
-        return reading_deg(slope, tilt) + np.degrees(bench.angle_zero_rad)
+        # The protractor's base already falls by the tilt that way.
+        return np.degrees(slope - tilt) + np.degrees(bench.angle_zero_rad)
 
 
 def features(tables, nominal, measured) -> InclineBlock:
@@ -104,18 +100,17 @@ INCLINE = Protocol(
     {
         "incline": (
             *RUN_COLUMNS,
-            number("azimuth_deg", *ANGLE_DEG, True),
-            number("area_cm2", 1e-3, 1e5, True),
-            number("added_mass_g", 0, 1e5, True),
+            azimuth("azimuth_deg"),
+            number("area_cm2", 1e-3, 1e5, True, usual=50.0),
+            number("added_mass_g", 0, 1e5, True, usual=20.0),
             number("angle_deg", -10, 90, measured=True),
-            number("u_angle_deg", 1e-4, 20),
+            number("u_angle_deg", 1e-4, 20, usual=0.3),
             number("censored", 0, 1, measured=True),
         )
     },
     nominal=("rho_kg_m2",),
     quantities=(Quantity("angle_deg", "slip angle"),),
     features=features,
-    usual_settings={"azimuth_deg": 0.0, "area_cm2": 50.0, "added_mass_g": 20.0, "u_angle_deg": 0.3},
     varied=(
         ("added_mass_g", (0, 5, 20, 50, 200)),
         ("area_cm2", (12.5, 25, 50, 100)),

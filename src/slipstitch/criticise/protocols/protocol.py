@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, fields
 from typing import ClassVar
 
 import numpy as np
 import pandas as pd
 
 from slipstitch.criticise.causes import Bench
-from slipstitch.criticise.protocols.trace_noise import TraceNoise
-from slipstitch.criticise.traces import Signal
+from slipstitch.criticise.traces import Signal, TraceNoise
+from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.friction_law import Contact, FrictionLaw
 
 
@@ -19,7 +19,8 @@ from slipstitch.physics.friction_law import Contact, FrictionLaw
 class Column:
     """One column; a text column has no range, ``choices`` limits it.
 
-    What is ``measured`` may be missing in the run table of a design.
+    What is ``measured`` may be missing in the run table of a design. ``usual`` is what a design
+    has where a case does not say what is usual there.
     """
 
     name: str
@@ -29,6 +30,7 @@ class Column:
     text: bool = False
     choices: tuple[str, ...] = ()
     measured: bool = False
+    usual: float | None = None
 
     @property
     def allowed(self) -> str:
@@ -43,9 +45,14 @@ def text(name, may_be_empty=True, choices=(), measured=False) -> Column:
     return Column(name, may_be_empty=may_be_empty, text=True, choices=choices, measured=measured)
 
 
-def number(name, lower, upper, may_be_empty=False, measured=False) -> Column:
+def number(name, lower, upper, may_be_empty=False, measured=False, usual=None) -> Column:
     """A column of numbers."""
-    return Column(name, lower, upper, may_be_empty, measured=measured)
+    return Column(name, lower, upper, may_be_empty, measured=measured, usual=usual)
+
+
+def azimuth(name: str) -> Column:
+    """The column of a direction in the lab."""
+    return number(name, *ANGLE_DEG, True, usual=0.0)
 
 
 ANGLE_DEG = (-360.0, 360.0)
@@ -110,7 +117,8 @@ def covariates_of(table: pd.DataFrame, azimuth: str) -> pd.DataFrame:
     rows["azimuth_deg"] = table[azimuth].to_numpy(float)
     rows["operator"] = table["operator"]
     rows["support"] = table.get("support", "")
-    for name in ("load_ratio", "speed_mm_s", "length_mm", "height_mm"):
+    rows["speed_mm_s"] = table.get("speed_mm_s", np.nan) * 1.0
+    for name in ("load_ratio", "length_mm", "height_mm"):
         rows[name] = np.nan
     return rows
 
@@ -144,13 +152,41 @@ def conditions_of(rows: pd.DataFrame) -> dict[str, np.ndarray]:
     }
 
 
+@dataclass
+class LoadedBlock(Block):
+    """Features of a cloth that slides under a mass, with its contacts at rest and in motion."""
+
+    at_rest: Contact
+    in_motion: Contact
+    cloth_mass_kg: np.ndarray
+    added_mass_kg: np.ndarray
+
+    def mass_kg(self, bench: Bench) -> np.ndarray:
+        """Mass of cloth and load, (features,)."""
+        return self.cloth_mass_kg * (1 + bench.mass_error) + self.added_mass_kg
+
+    def pressed(self, bench: Bench) -> tuple[np.ndarray, Contact, Contact]:
+        """The load in N, (features,), and the contacts under that load."""
+        load = self.mass_kg(bench) * GRAVITY_M_S2
+        return load, self.at_rest.with_load(load), self.in_motion.with_load(load)
+
+
 def contacts_of(
-    rows: pd.DataFrame, load_N: np.ndarray, area_m2: np.ndarray, speed_m_s: np.ndarray
+    rows: pd.DataFrame, static: np.ndarray, load_N: np.ndarray, area_m2: np.ndarray
 ) -> tuple[Contact, Contact]:
-    """Contacts of features at rest and in motion."""
+    """Contacts of features at rest and in motion; rows keep the covariates of their own kind.
+
+    Parameters
+    ----------
+    rows : with the rest before the pull and the speed of every run, whatever the feature.
+    static : (n,) features that tell of friction at rest.
+    """
     shared = {"normal_force_N": load_N, "area_m2": area_m2, **conditions_of(rows)}
-    at_rest = Contact(dwell_s=rows["dwell_s"].to_numpy(float), **shared)
-    return at_rest, Contact(speed_m_s=speed_m_s, **shared)
+    dwell, speed = (rows[name].to_numpy(float) for name in ("dwell_s", "speed_mm_s"))
+    rows["static"] = static
+    rows["dwell_s"] = np.where(static, dwell, np.nan)
+    rows["speed_mm_s"] = np.where(static, np.nan, speed)
+    return Contact(dwell_s=dwell, **shared), Contact(speed_m_s=1e-3 * speed, **shared)
 
 
 def masses_of(runs: pd.DataFrame, nominal: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
@@ -210,7 +246,6 @@ class Protocol:
     features : (tables, nominal values, measured) -> features with their forward model, None if no
         run gives any. With ``measured`` False, what a design is predicted for: traces may be absent
         and measured values are not looked at.
-    usual_settings : columns of a run where a case does not say what is usual there.
     varied : columns, and levels of them, among which a measurement that separates rivals is sought.
     signals : columns of the traces in which glitches are looked for.
     """
@@ -221,7 +256,6 @@ class Protocol:
     nominal: tuple[str, ...]
     quantities: tuple[Quantity, ...]
     features: Features
-    usual_settings: Mapping[str, float] = field(default_factory=dict)
     varied: tuple[tuple[str, tuple[float, ...]], ...] = ()
     signals: tuple[Signal, ...] = ()
 
@@ -229,3 +263,9 @@ class Protocol:
     def runs_table(self) -> str:
         """The table with a row a run."""
         return next(iter(self.tables))
+
+    @property
+    def usual_settings(self) -> dict[str, float]:
+        """What the columns of a run usually hold, where a case does not say it."""
+        columns = self.tables[self.runs_table]
+        return {column.name: column.usual for column in columns if column.usual is not None}

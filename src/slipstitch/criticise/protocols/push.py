@@ -13,13 +13,15 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from slipstitch.criticise.causes import Bench
 from slipstitch.criticise.protocols.protocol import (
     ANGLE_DEG,
     RUN_COLUMNS,
     USUAL_AREA_M2,
-    Block,
+    LoadedBlock,
     Protocol,
     Quantity,
+    azimuth,
     contacts_of,
     covariates_of,
     downhill_rad,
@@ -30,7 +32,6 @@ from slipstitch.criticise.protocols.protocol import (
 )
 from slipstitch.criticise.traces import Signal
 from slipstitch.physics import GRAVITY_M_S2
-from slipstitch.physics.friction_law import Contact
 
 LEVEL, PEAK = "push_level_mN", "push_peak_mN"
 # A block that turns needs less force: only near-translations are read.
@@ -45,29 +46,24 @@ INERTIAL_ERROR = 0.3
 
 
 @dataclass
-class PushBlock(Block):
-    """Push features; contacts at rest and in motion per row."""
+class PushBlock(LoadedBlock):
+    """Push features."""
 
     READS = ("mass_error", "tilt_along_rad", "tilt_across_rad", "force_gain")
 
-    at_rest: Contact
-    in_motion: Contact
-    cloth_mass_kg: np.ndarray
-    added_mass_kg: np.ndarray
     stiffness_N_m: np.ndarray
     speed_m_s: np.ndarray
 
-    def impact_force(self, mass_kg: np.ndarray) -> np.ndarray:
+    def impact_force(self, bench: Bench) -> np.ndarray:
         """First peak (features,), N, that the finger makes without a static excess."""
-        return self.speed_m_s * np.sqrt(self.stiffness_N_m * mass_kg)
+        return self.speed_m_s * np.sqrt(self.stiffness_N_m * self.mass_kg(bench))
 
     def predict(self, law, bench):
-        mass = self.cloth_mass_kg * (1 + bench.mass_error) + self.added_mass_kg
-        load = mass * GRAVITY_M_S2
-        moving = law.force_limit(self.in_motion.with_load(load), static=False)
-        resting = law.force_limit(self.at_rest.with_load(load), static=True)
+        load, rest, motion = self.pressed(bench)
+        moving = law.force_limit(motion, static=False)
+        resting = law.force_limit(rest, static=True)
         tilt = downhill_rad(bench, self.rows["azimuth_deg"].to_numpy(float))
-        peak = np.hypot(np.maximum(resting - moving, 0.0), self.impact_force(mass))
+        peak = np.hypot(np.maximum(resting - moving, 0.0), self.impact_force(bench))
         is_level = (self.rows["quantity"] == LEVEL).to_numpy()
         return 1e3 * (1 + bench.force_gain) * np.where(is_level, moving - load * np.sin(tilt), peak)
 
@@ -123,51 +119,48 @@ def features(tables, nominal, measured) -> PushBlock | None:
     runs = runs[straight].reset_index(drop=True)
     if not len(runs):
         return None
-    common = covariates_of(runs, "push_azimuth_deg")
-    area = runs["area_cm2"].to_numpy(float) * 1e-4
-    known = ~np.isnan(area)
     cloth, added = masses_of(runs, nominal)
     mass, speed = cloth + added, runs["speed_mm_s"].to_numpy(float) * 1e-3
     u = runs["u_force_mN"].to_numpy(float)
     stiffness = np.full(len(runs), USUAL_STIFFNESS_N_M)
-    lines = []
-    if not measured:
-        lines = [(i, LEVEL, np.nan, u[i]) for i in range(len(runs))]
-    else:
+    if measured:
         parts = dict(list(tables["push"].groupby("run_id", sort=False)))
-        quiet = runs["quiet_s"].fillna(0.0).to_numpy(float)
-        readings = [
-            _read(parts[run], quiet[i], mass[i], speed[i]) for i, run in enumerate(runs["run_id"])
-        ]
-        within = [r.blocks_mN / r.blocks_mN.mean() - 1 for r in readings if r is not None]
-        uneven = np.sqrt(np.mean(np.square(within)) * LEVEL_BLOCKS / (LEVEL_BLOCKS - 1))
-        spread = [r.peak_sd_mN / r.blocks_mN.mean() for r in readings if r and r.peak_sd_mN > 0]
-        single = np.sqrt(np.mean(np.square(spread))) if spread else 0.0
-        for i, reading in enumerate(readings):
-            if reading is None:
-                continue
-            level = float(reading.blocks_mN.mean())
-            lines.append(
-                (i, LEVEL, level, float(np.hypot(u[i], uneven * level / LEVEL_BLOCKS**0.5)))
-            )
-            if np.isfinite(reading.peak_mN):
-                stiffness[i] = reading.stiffness_N_m
-                overshoot = 1e3 * speed[i] * np.sqrt(stiffness[i] * mass[i])
-                error = np.hypot(single * level, INERTIAL_ERROR * overshoot)
-                lines.append((i, PEAK, reading.peak_mN, float(np.hypot(u[i], error))))
+        traces = [parts[run] for run in runs["run_id"]]
+        readings = list(map(_read, traces, runs["quiet_s"].fillna(0.0), mass, speed))
+        lines = _features(readings, u, mass, speed, stiffness)
+    else:
+        lines = [(i, LEVEL, np.nan, u[i]) for i in range(len(runs))]
     if not lines:
         return None
-    index, rows = feature_rows(common, lines)
+    index, rows = feature_rows(covariates_of(runs, "push_azimuth_deg"), lines)
     static = (rows["quantity"] == PEAK).to_numpy()
-    rows["static"] = static
-    area = np.where(known, area, USUAL_AREA_M2)
-    at_rest, in_motion = contacts_of(rows, mass[index] * GRAVITY_M_S2, area[index], speed[index])
-    rows["dwell_s"] = np.where(static, rows["dwell_s"], np.nan)
-    rows["speed_mm_s"] = np.where(static, np.nan, 1e3 * speed[index])
-    rows["load_ratio"] = np.where(known[index], at_rest.load_ratio(), np.nan)
+    known = runs["area_cm2"].notna().to_numpy()[index]
+    area = np.where(known, runs["area_cm2"].to_numpy(float)[index] * 1e-4, USUAL_AREA_M2)
+    at_rest, in_motion = contacts_of(rows, static, mass[index] * GRAVITY_M_S2, area)
+    rows["load_ratio"] = np.where(known, at_rest.load_ratio(), np.nan)
     return PushBlock(
         "push", rows, at_rest, in_motion, cloth[index], added[index], stiffness[index], speed[index]
     )
+
+
+def _features(readings, u, mass, speed, stiffness) -> list[tuple]:
+    """(run, quantity, value, uncertainty) of every run; writes what ``stiffness`` was read."""
+    lines = []
+    within = [r.blocks_mN / r.blocks_mN.mean() - 1 for r in readings if r is not None]
+    uneven = np.sqrt(np.mean(np.square(within)) * LEVEL_BLOCKS / (LEVEL_BLOCKS - 1))
+    spread = [r.peak_sd_mN / r.blocks_mN.mean() for r in readings if r and r.peak_sd_mN > 0]
+    single = np.sqrt(np.mean(np.square(spread))) if spread else 0.0
+    for i, reading in enumerate(readings):
+        if reading is None:
+            continue
+        level = float(reading.blocks_mN.mean())
+        lines.append((i, LEVEL, level, float(np.hypot(u[i], uneven * level / LEVEL_BLOCKS**0.5))))
+        if np.isfinite(reading.peak_mN):
+            stiffness[i] = reading.stiffness_N_m
+            overshoot = 1e3 * speed[i] * np.sqrt(stiffness[i] * mass[i])
+            error = np.hypot(single * level, INERTIAL_ERROR * overshoot)
+            lines.append((i, PEAK, reading.peak_mN, float(np.hypot(u[i], error))))
+    return lines
 
 
 PUSH = Protocol(
@@ -176,15 +169,15 @@ PUSH = Protocol(
     {
         "push_runs": (
             *RUN_COLUMNS,
-            number("push_azimuth_deg", *ANGLE_DEG, True),
+            azimuth("push_azimuth_deg"),
             text("support"),
-            number("area_cm2", 1e-3, 1e5, True),
-            number("added_mass_g", 0, 1e5),
-            number("speed_mm_s", 1e-6, 1e4),
+            number("area_cm2", 1e-3, 1e5, True, usual=50.0),
+            number("added_mass_g", 0, 1e5, usual=500.0),
+            number("speed_mm_s", 1e-6, 1e4, usual=3.0),
             number("turned_deg", *ANGLE_DEG, True),
             number("moved_mm", 0, 1e5, True),
             number("quiet_s", 0, 1e4, True),
-            number("u_force_mN", 1e-6, 1e5),
+            number("u_force_mN", 1e-6, 1e5, usual=5.0),
         ),
         "push": (
             text("run_id", may_be_empty=False),
@@ -199,12 +192,5 @@ PUSH = Protocol(
     signals=tuple(
         Signal(column, "force cell", "u_force_mN") for column in ("force_x_mN", "force_y_mN")
     ),
-    usual_settings={
-        "push_azimuth_deg": 0.0,
-        "area_cm2": 50.0,
-        "added_mass_g": 500.0,
-        "speed_mm_s": 3.0,
-        "u_force_mN": 5.0,
-    },
     varied=(("speed_mm_s", (0.3, 3, 30)), ("added_mass_g", (200, 500, 1500))),
 )

@@ -7,7 +7,7 @@ putting steady stick-slip of the same size, sampling and noise through the same 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import astuple, dataclass
 
 import numpy as np
 import pandas as pd
@@ -15,12 +15,12 @@ from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.signal import find_peaks
 
 from slipstitch.criticise.protocols.protocol import (
-    ANGLE_DEG,
     RUN_COLUMNS,
     USUAL_AREA_M2,
-    Block,
+    LoadedBlock,
     Protocol,
     Quantity,
+    azimuth,
     contacts_of,
     covariates_of,
     downhill_rad,
@@ -30,10 +30,8 @@ from slipstitch.criticise.protocols.protocol import (
     text,
 )
 from slipstitch.criticise.protocols.stick_slip import Slider, steady_cycle, steady_force
-from slipstitch.criticise.protocols.trace_noise import TraceNoise, noise_of, off_neighbours
-from slipstitch.criticise.traces import Signal
+from slipstitch.criticise.traces import Signal, TraceNoise, noise_of, off_neighbours
 from slipstitch.physics import GRAVITY_M_S2
-from slipstitch.physics.friction_law import Contact
 
 LEVEL, SWING, FIRST_SWING = "slider_level_mN", "slider_swing_mN", "slider_first_swing_mN"
 DESIGN_QUANTITIES = (LEVEL, SWING)
@@ -55,8 +53,8 @@ INERTIAL_ERROR, DAMPED_EXCESS = 0.1, 0.5
 
 
 @dataclass
-class SpringSliderBlock(Block):
-    """Spring-slider features; contacts at rest and in motion per row."""
+class SpringSliderBlock(LoadedBlock):
+    """Spring-slider features."""
 
     READS = (
         "mass_error",
@@ -69,10 +67,6 @@ class SpringSliderBlock(Block):
         "damping",
     )
 
-    at_rest: Contact
-    in_motion: Contact
-    cloth_mass_kg: np.ndarray
-    added_mass_kg: np.ndarray
     spring_N_m: np.ndarray
     speed_m_s: np.ndarray
     track_drop_mN: np.ndarray
@@ -80,13 +74,10 @@ class SpringSliderBlock(Block):
 
     def predict(self, law, bench):
         quantity = self.rows["quantity"].to_numpy()
-        mass = self.cloth_mass_kg * (1 + bench.mass_error) + self.added_mass_kg
-        load = mass * GRAVITY_M_S2
+        load, rest, motion = self.pressed(bench)
         tilt = downhill_rad(bench, self.rows["azimuth_deg"].to_numpy(float))
-        slider = Slider(mass, self.spring_N_m, self.speed_m_s)
-        cycle = steady_cycle(
-            slider, law, self.at_rest.with_load(load), self.in_motion.with_load(load)
-        )
+        slider = Slider(self.mass_kg(bench), self.spring_N_m, self.speed_m_s)
+        cycle = steady_cycle(slider, law, rest, motion)
         level = cycle.level_N - load * np.sin(tilt)
         gain = 1e3 * (1 + bench.force_gain)
         # Viscous damping pulls at the mean speed, and at every swing until the trough.
@@ -143,16 +134,11 @@ def slips_of_trace(trace: pd.DataFrame, slider: Slider, u_mN: float) -> Slips:
     """Find the slips of a run, recording by recording: nothing is known of what is between."""
     parts = trace.groupby(trace.get("recording", 0) * np.ones(len(trace)), sort=False)
     found = [
-        slips_of(part["t_s"].to_numpy(float), part["force_mN"].to_numpy(float), slider, u_mN)
+        astuple(slips_of(*part[["t_s", "force_mN"]].to_numpy(float).T, slider, u_mN))
         for _, part in parts
         if len(part) > 2
     ]
-    return Slips(
-        *(
-            np.concatenate([getattr(slips, field.name) for slips in found])
-            for field in fields(Slips)
-        )
-    )
+    return Slips(*map(np.concatenate, zip(*found, strict=True)))
 
 
 def half_drop_bias(
@@ -268,24 +254,24 @@ def _features(
         lines.append((i, LEVEL, level, float(error)))
         # Unseen drops lie below twice the threshold's half: between 0 and 3 noises.
         unseen = (0.25 * DROP_NOISES * u, float(np.hypot(0.25 * DROP_NOISES * u, doubt)))
-        if id(reading) in halves:
-            half = float(reading.slips.half_mN.mean() - reading.bias_mN)
-            of_mean = 1.0 / np.sqrt(len(halves[id(reading)]))
-            error = np.hypot(
-                half * half_sd * of_mean, 0.3 * abs(reading.bias_mN) + 0.2 * u * of_mean
-            )
+
+        def seen(quantity, half, error, i=i, inertial=inertial, of_track=of_track):
+            """A drop whose error is also that of its inertia and of the track."""
             error = np.hypot(error, inertial * min(inertial_mN[i] / max(half, 1e-9), 1.0))
-            error = np.hypot(error, of_track)
-            lines.append((i, SWING, half, float(error)))
+            lines.append((i, quantity, half, float(np.hypot(error, of_track))))
+
+        if id(reading) in halves:
+            of_mean = 1.0 / np.sqrt(len(halves[id(reading)]))
+            half = float(reading.slips.half_mN.mean() - reading.bias_mN)
+            of_noise = 0.3 * abs(reading.bias_mN) + 0.2 * u * of_mean
+            seen(SWING, half, np.hypot(half * half_sd * of_mean, of_noise))
         elif not len(reading.slips.half_mN):
             quiet = float(np.hypot(unseen[1], DAMPED_EXCESS * inertial_mN[i]))
             lines.append((i, SWING, unseen[0], quiet, unseen[0]))
         if reading.first_half_mN is not None:
-            first = reading.first_half_mN - reading.bias_mN
-            error = np.hypot(single_sd * first, u / np.sqrt(2))  # of half a difference
-            error = np.hypot(error, inertial * min(inertial_mN[i] / max(first, 1e-9), 1.0))
-            error = np.hypot(error, of_track)
-            lines.append((i, FIRST_SWING, float(first), float(error)))
+            first = float(reading.first_half_mN - reading.bias_mN)
+            # The noise is that of half a difference.
+            seen(FIRST_SWING, first, np.hypot(single_sd * first, u / np.sqrt(2)))
         elif reading.first_unseen:
             lines.append((i, FIRST_SWING, *unseen, unseen[0]))
     return lines, of_tracks
@@ -295,10 +281,6 @@ def features(tables, nominal, measured) -> SpringSliderBlock | None:
     """Features of every run; without traces, the quantities of the design."""
     runs = tables["spring_slider_runs"]
     traces = tables.get("spring_slider") if measured else None
-    common = covariates_of(runs, "stage_azimuth_deg")
-    area = runs["area_cm2"].to_numpy(float) * 1e-4
-    known = ~np.isnan(area)
-    area = np.where(known, area, USUAL_AREA_M2)
     cloth, added = masses_of(runs, nominal)
     mass = cloth + added
     spring = runs["spring_N_m"].to_numpy(float)
@@ -310,30 +292,27 @@ def features(tables, nominal, measured) -> SpringSliderBlock | None:
         lines = [(i, q, np.nan, u[i]) for i in range(len(runs)) for q in DESIGN_QUANTITIES]
     else:
         parts = dict(list(traces.groupby("run_id", sort=False)))
+        own = [parts[run] for run in runs["run_id"]]
         of_traces = (
-            off_neighbours(*parts[run][["t_s", "force_mN"]].to_numpy(float).T) / u[i]
-            for i, run in enumerate(runs["run_id"])
+            off_neighbours(*trace[["t_s", "force_mN"]].to_numpy(float).T) / u[i]
+            for i, trace in enumerate(own)
         )
         noises = (noise_of("force cell", "force_mN", of_traces),)
         u = u * noises[0].allowance
-        readings = [
-            _read(parts[run], Slider(mass[i], spring[i], speed[i]), u[i])
-            for i, run in enumerate(runs["run_id"])
-        ]
+        sliders = map(Slider, mass, spring, speed)
+        readings = list(map(_read, own, sliders, u))
         lines, of_tracks = _features(readings, u, 1e3 * speed * np.sqrt(spring * mass))
     if not lines:
         return None
-    index, rows = feature_rows(common, lines)
+    index, rows = feature_rows(covariates_of(runs, "stage_azimuth_deg"), lines)
     static = (rows["quantity"] != LEVEL).to_numpy()
-    first = (rows["quantity"] == FIRST_SWING).to_numpy()
-    rows["static"] = static
-    load = mass[index] * GRAVITY_M_S2
-    at_rest, in_motion = contacts_of(rows, load, area[index], speed[index])
+    load, known = mass[index] * GRAVITY_M_S2, runs["area_cm2"].notna().to_numpy()[index]
+    area = np.where(known, runs["area_cm2"].to_numpy(float)[index] * 1e-4, USUAL_AREA_M2)
+    at_rest, in_motion = contacts_of(rows, static, load, area)
     # The stick that a usual excess would make: the measured one grows with the drop itself.
     stick = 2 * USUAL_EXCESS * load / (spring * speed)[index]
-    rows["dwell_s"] = np.where(first, rows["dwell_s"], np.where(static, stick, np.nan))
-    rows["speed_mm_s"] = np.where(static, np.nan, 1e3 * speed[index])
-    rows["load_ratio"] = np.where(known[index], at_rest.load_ratio(), np.nan)
+    rows["dwell_s"] = np.where(rows["quantity"] == SWING, stick, rows["dwell_s"])
+    rows["load_ratio"] = np.where(known, at_rest.load_ratio(), np.nan)
     block = SpringSliderBlock(
         "spring_slider",
         rows,
@@ -356,12 +335,12 @@ SPRING_SLIDER = Protocol(
     {
         "spring_slider_runs": (
             *RUN_COLUMNS,
-            number("stage_azimuth_deg", *ANGLE_DEG, True),
-            number("area_cm2", 1e-3, 1e5, True),
-            number("added_mass_g", 0, 1e5),
-            number("spring_N_m", 1e-3, 1e7),
-            number("speed_mm_s", 1e-6, 1e4),
-            number("u_force_mN", 1e-6, 1e5),
+            azimuth("stage_azimuth_deg"),
+            number("area_cm2", 1e-3, 1e5, True, usual=50.0),
+            number("added_mass_g", 0, 1e5, usual=50.0),
+            number("spring_N_m", 1e-3, 1e7, usual=200.0),
+            number("speed_mm_s", 1e-6, 1e4, usual=1.0),
+            number("u_force_mN", 1e-6, 1e5, usual=0.5),
         ),
         "spring_slider": (
             text("run_id", may_be_empty=False),
@@ -377,13 +356,5 @@ SPRING_SLIDER = Protocol(
     ),
     features=features,
     signals=(Signal("force_mN", "force cell", "u_force_mN"),),
-    usual_settings={
-        "stage_azimuth_deg": 0.0,
-        "area_cm2": 50.0,
-        "added_mass_g": 50.0,
-        "spring_N_m": 200.0,
-        "speed_mm_s": 1.0,
-        "u_force_mN": 0.5,
-    },
     varied=(("speed_mm_s", (0.03, 0.3, 3)), ("added_mass_g", (20, 50, 150))),
 )

@@ -11,11 +11,11 @@ import numpy as np
 from scipy.interpolate import RectBivariateSpline, make_interp_spline
 
 from slipstitch.criticise.protocols.protocol import (
-    ANGLE_DEG,
     RUN_COLUMNS,
     Block,
     Protocol,
     Quantity,
+    azimuth,
     conditions_of,
     covariates_of,
     downhill_rad,
@@ -173,26 +173,18 @@ STRIP = Protocol(
     {
         "strip": (
             *RUN_COLUMNS,
-            number("azimuth_deg", *ANGLE_DEG, True),
-            number("length_mm", 1, 1e4),
-            number("width_mm", 0.1, 1e4),
-            number("ply", 1, 100),
-            number("push_speed_mm_s", 0, 1e4, True),
+            azimuth("azimuth_deg"),
+            number("length_mm", 1, 1e4, usual=45.0),
+            number("width_mm", 0.1, 1e4, usual=12.0),
+            number("ply", 1, 100, usual=1.0),
+            number("push_speed_mm_s", 0, 1e4, True, usual=0.5),
             number("eps_slip", -0.2, 1.0, measured=True),
-            number("u_eps", 1e-6, 0.5),
+            number("u_eps", 1e-6, 0.5, usual=0.004),
             text("regime", may_be_empty=False, choices=("slipped", "partial"), measured=True),
         )
     },
     nominal=("rho_kg_m2", "B_strip_Nm", "ply_exponent", "thickness_m"),
     quantities=(Quantity("eps_slip", "slip strain"),),
     features=features,
-    usual_settings={
-        "azimuth_deg": 0.0,
-        "length_mm": 45.0,
-        "width_mm": 12.0,
-        "ply": 1.0,
-        "push_speed_mm_s": 0.5,
-        "u_eps": 0.004,
-    },
     varied=(("length_mm", (30, 45, 60)),),
 )

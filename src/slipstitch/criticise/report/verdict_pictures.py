@@ -17,13 +17,12 @@ from slipstitch.criticise.inference.structure import Outcome
 from slipstitch.criticise.protocols import QUANTITIES
 from slipstitch.criticise.verdict import Analysis
 
-NULL_COLOUR, EXTENDED_COLOUR = VERMILION, BLUE
 QUANTITY = "quantity"
 COLUMNS = 3  # of the picture of all covariates
 MOST_LABELS = 6
 SHOWN_RUNS = 3
-COLOURS = {"null": NULL_COLOUR, "extended": EXTENDED_COLOUR}
-LABELS = {"null": "plain Coulomb", "extended": "extended law"}
+MODELS = {"null": (VERMILION, "plain Coulomb"), "extended": (BLUE, "extended law")}
+USUAL_SCATTER = (0.05, 0.03, 1.2)
 
 
 def _figure(width: float = 6.4, height: float = 3.4) -> tuple[Figure, Axes]:
@@ -66,17 +65,10 @@ def relative_residuals(analysis: Analysis, fitted: Fit) -> tuple[np.ndarray, np.
 def standardised_residuals(analysis: Analysis, fitted: Fit) -> np.ndarray:
     """Residuals over their own total standard deviation."""
     m, state = analysis.measurements, analysis.state
-    scatter = np.array(
-        [
-            (s.specimen, s.run, s.kappa)
-            if (s := state.scatters.get(p)) is not None
-            else (0.05, 0.03, 1.2)
-            for p in m.protocol
-        ]
-    )
-    variance = (scatter[:, 2] * m.u) ** 2 + state.sensitivity**2 * (
-        scatter[:, 0] ** 2 + scatter[:, 1] ** 2
-    )
+    known = {name: (s.specimen, s.run, s.kappa) for name, s in state.scatters.items()}
+    scatter = np.array([known.get(name, USUAL_SCATTER) for name in m.protocol])
+    of_friction = scatter[:, 0] ** 2 + scatter[:, 1] ** 2
+    variance = (scatter[:, 2] * m.u) ** 2 + state.sensitivity**2 * of_friction
     return (m.y - fitted.prediction) / np.sqrt(variance)
 
 
@@ -85,50 +77,44 @@ def series(axes, x, y, colour, label, seed=0):
     jitter = np.random.default_rng(seed).uniform(-0.008, 0.008, len(x))
     span = np.ptp(x) or 1.0
     axes.plot(x + jitter * span, y, "o", ms=3, color=colour, alpha=0.35, mew=0)
-    edges = np.unique(np.quantile(x, np.linspace(0, 1, 9)))
-    levels, level = np.unique(np.round(x, 6), return_inverse=True)
-    if len(levels) <= 12:
-        groups = [(v, y[level == i]) for i, v in enumerate(levels)]
-    else:
-        which = np.clip(np.searchsorted(edges, x, side="right") - 1, 0, max(len(edges) - 2, 0))
-        groups = [(x[which == i].mean(), y[which == i]) for i in np.unique(which)]
-    centre = np.array([g[0] for g in groups])
-    mean = np.array([g[1].mean() for g in groups])
-    error = np.array(
-        [g[1].std(ddof=1) / np.sqrt(len(g[1])) if len(g[1]) > 1 else 0 for g in groups]
-    )
+    levels, group = np.unique(np.round(x, 6), return_inverse=True)
+    if len(levels) > 12:
+        edges = np.unique(np.quantile(x, np.linspace(0, 1, 9)))
+        group = np.searchsorted(edges, x, side="right").clip(1, max(len(edges) - 1, 1))
+    table = pd.DataFrame({"x": x, "y": y}).groupby(group)
+    means, error = table.mean(), (table["y"].std() / np.sqrt(table.size())).fillna(0.0)
     axes.errorbar(
-        centre, mean, error, color=colour, lw=1.8, marker="o", ms=5, label=label, capsize=2
+        means["x"],
+        means["y"],
+        error,
+        color=colour,
+        lw=1.8,
+        marker="o",
+        ms=5,
+        label=label,
+        capsize=2,
     )
 
 
 def _fits(analysis: Analysis, extended: Fit | None) -> list[tuple[Fit, str, str]]:
     """Each fit that is drawn, with its colour and label."""
-    fits = [(analysis.null, NULL_COLOUR, "plain Coulomb")]
-    return fits + ([(extended, EXTENDED_COLOUR, "extended")] if extended is not None else [])
+    fits = [(analysis.null, VERMILION, "plain Coulomb"), (extended, BLUE, "extended")]
+    return [entry for entry in fits if entry[0] is not None]
 
 
 def _by_quantity(axes, analysis, fits):
-    rows = analysis.measurements.rows
-    names = [q for q in QUANTITIES if (rows["quantity"] == q).any()]
+    quantity, keep = analysis.measurements.rows["quantity"].to_numpy(), analysis.state.keep
+    names = [name for name in QUANTITIES if (quantity == name).any()]
     for k, (fitted, colour, label) in enumerate(fits):
         z = standardised_residuals(analysis, fitted)
         for i, name in enumerate(names):
-            mine = (rows["quantity"] == name).to_numpy() & analysis.state.keep
-            place = i + (k - 0.5 * (len(fits) - 1)) * 0.28
-            shown = np.clip(z[mine], -8, 8)
-            axes.plot(np.full(mine.sum(), place), shown, "_", color=colour, alpha=0.5, ms=9)
-            axes.plot(
-                [place],
-                [np.clip(z[mine].mean(), -8, 8)],
-                "o",
-                color=colour,
-                ms=6,
-                label=label if i == 0 else None,
-            )
-    axes.set_xticks(
-        range(len(names)), [QUANTITIES[n].title for n in names], rotation=35, ha="right"
-    )
+            own, place = z[(quantity == name) & keep], i + (k - 0.5 * (len(fits) - 1)) * 0.28
+            places, shown = np.full(len(own), place), np.clip(own, -8, 8)
+            axes.plot(places, shown, "_", color=colour, alpha=0.5, ms=9)
+            mean = [np.clip(own.mean(), -8, 8)]
+            axes.plot([place], mean, "o", color=colour, ms=6, label=None if i else label)
+    titles = [QUANTITIES[name].title for name in names]
+    axes.set_xticks(range(len(names)), titles, rotation=35, ha="right")
     axes.set_ylabel("measured − model, in standard deviations")
 
 
@@ -162,16 +148,13 @@ def pattern(axes, analysis, covariate, outcome):
     best = _strongest(outcome, covariate)
     if best is None:
         return
-    d = analysis.state.sensitivity
     residual, good = relative_residuals(analysis, analysis.null)
     values = drawn(analysis, covariate)
     good &= np.isfinite(values) & np.isfinite(residual)
-    shape = outcome.tests[best].columns[good] / d[good][:, None]
-    size, *_ = np.linalg.lstsq(
-        np.column_stack([np.ones(good.sum()), shape]), residual[good], rcond=None
-    )
-    x = values[good]
-    curve = size[0] + shape @ size[1:]
+    shape = outcome.tests[best].columns[good] / analysis.state.sensitivity[good][:, None]
+    columns = np.column_stack([np.ones(good.sum()), shape])
+    size, *_ = np.linalg.lstsq(columns, residual[good], rcond=None)
+    x, curve = values[good], size[0] + shape @ size[1:]
     order = np.argsort(x)
     axes.plot(x[order], curve[order], color=INK, lw=2, label=outcome.tests[best].shape)
 
@@ -184,15 +167,14 @@ def ranking_picture(verdict: dict, most: int = 10) -> Figure:
     if not any(entry["model"] == [] for entry in shown):
         shown = shown[: most - 1] + [entry for entry in entries if entry["model"] == []]
     figure, axes = _figure(height=0.34 * len(shown) + 0.9)
-    labels = [" + ".join(e["model"]) or "plain Coulomb" for e in shown]
-    values = np.array([e["delta_bic"] for e in shown])
+    labels = [" + ".join(entry["model"]) or "plain Coulomb" for entry in shown]
     places = np.arange(len(shown))[::-1]
     tied = [sorted(causes) for causes in verdict["alternatives"]]
     colours = [
-        NULL_COLOUR if not e["model"] else EXTENDED_COLOUR if sorted(e["model"]) in tied else PALE
-        for e in shown
+        VERMILION if not e["model"] else BLUE if sorted(e["model"]) in tied else PALE for e in shown
     ]
-    axes.barh(places, np.maximum(values, 0.15), color=colours, height=0.65)
+    values = [max(entry["delta_bic"], 0.15) for entry in shown]
+    axes.barh(places, values, color=colours, height=0.65)
     axes.set_xscale("symlog", linthresh=10)
     axes.set_yticks(places, labels)
     axes.axvline(6, color=INK, lw=0.8, ls=":")
@@ -204,29 +186,16 @@ def ranking_picture(verdict: dict, most: int = 10) -> Figure:
 def prediction_picture(analysis: Analysis, extended: Fit | None) -> Figure:
     """Standardised residuals of all features, null and extended, against a standard normal."""
     figure, axes = _figure()
-    edges = [*np.linspace(-6, 6, 41)]
+    filled = {"density": True, "histtype": "stepfilled", "alpha": 0.35}
     for fitted, colour, label in _fits(analysis, extended):
         z = standardised_residuals(analysis, fitted)
         z = z[analysis.state.keep & ~analysis.measurements.lower_bound]
-        if not len(z):  # bounds only
-            continue
-        axes.hist(
-            np.clip(z, -5.99, 5.99),
-            edges,
-            density=True,
-            histtype="stepfilled",
-            alpha=0.35,
-            color=colour,
-            label=label,
-        )
+        if len(z):  # else bounds only
+            edges = np.linspace(-6, 6, 41)
+            axes.hist(np.clip(z, -5.99, 5.99), edges, color=colour, label=label, **filled)
     x = np.linspace(-6, 6, 200)
-    axes.plot(
-        x,
-        np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi),
-        color=INK,
-        lw=1.2,
-        label="if the model is correct",
-    )
+    normal = np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi)
+    axes.plot(x, normal, color=INK, lw=1.2, label="if the model is correct")
     axes.set_xlabel("measured − model, in standard deviations (beyond ±6 at the edge)")
     axes.set_yticks([])
     axes.legend(frameon=False)
@@ -241,31 +210,30 @@ def covariate_picture(analysis: Analysis) -> Figure | None:
     """
     panels = []
     residual, good = relative_residuals(analysis, analysis.null)
-    for name in COVARIATES:
+    for name, covariate in COVARIATES.items():
         x = drawn(analysis, name)
         shown = good & np.isfinite(x) & np.isfinite(residual)
         if len(np.unique(x[shown])) > 1:
-            panels.append((name, x[shown], residual[shown]))
+            panels.append((covariate, x[shown], residual[shown]))
     if not panels:
         return None
-    rows = -(-len(panels) // COLUMNS)
+    rows, outcome = -(-len(panels) // COLUMNS), analysis.null_outcome
     figure = new_figure(9.0, 2.5 * rows)
     grid = figure.subplots(rows, COLUMNS, squeeze=False)
     for axes in grid.flat[len(panels) :]:
         axes.remove()
-    outcome = analysis.null_outcome
-    for axes, (name, x, y) in zip(grid.flat, panels, strict=False):
-        series(axes, x, y, NULL_COLOUR, None)
-        found = _strongest(outcome, name)
+    for axes, (covariate, x, y) in zip(grid.flat, panels, strict=False):
+        series(axes, x, y, VERMILION, None)
+        found = _strongest(outcome, covariate.name)
         if found is not None:
             p = outcome.adjusted[found]
             axes.set_title(f"p = {p:.2g}", color=INK if p < 0.05 else FAINT)
-            if not COVARIATES[name].text:
-                pattern(axes, analysis, name, outcome)
-        axes.set_xlabel(COVARIATES[name].axis_label)
-        if COVARIATES[name].text:
-            labels = sorted({label for label in analysis.measurements.rows[name] if label})
+        if covariate.text:
+            labels = sorted(set(analysis.measurements.rows[covariate.name]) - {""})
             axes.set_xticks(range(len(labels)), map(plain_text, labels))
+        else:
+            pattern(axes, analysis, covariate.name, outcome)
+        axes.set_xlabel(covariate.axis_label)
         axes.axhline(0, color=FAINT, lw=0.8, zorder=0)
         axes.tick_params(labelsize=8)
     for row in grid:
@@ -285,16 +253,13 @@ def _strongest(outcome: Outcome, name: str) -> int | None:
 @styled
 def discrepancy_picture(found: dict, analysis: Analysis) -> Figure:
     """``found`` is the verdict's ``discrepancy`` with a covariate."""
-    figure = new_figure(6.4, 3.4)
-    axes = figure.add_subplot()
+    figure, axes = _figure()
     covariate = COVARIATES[found["covariate"]]
     first, last = covariate.searched(np.array(found["knots"])[[0, -1]])
     fine = np.linspace(float(first), float(last), 201)
     plain = 10**fine if covariate.logarithmic else fine
-    low, high = np.array(found["ci95"]).T
-    axes.fill_between(
-        plain, along(found, plain, low), along(found, plain, high), color=INTERVAL, label="95 %"
-    )
+    low, high = (along(found, plain, band) for band in np.array(found["ci95"]).T)
+    axes.fill_between(plain, low, high, color=INTERVAL, label="95 %")
     axes.plot(plain, along(found, plain, found["factors"]), color=INK, lw=2, label="smooth factor")
     points = specimen_factors(found, analysis.measurements, analysis.null, analysis.null_state)
     for colour, (protocol, own) in zip(SERIES, points.groupby("protocol"), strict=False):
@@ -324,14 +289,12 @@ def before_and_after_picture(frames: pd.DataFrame) -> Figure:
     for column, run in enumerate(chosen):
         own = frames[frames["run_id"] == run].sort_values("x_stage_mm")
         stage = own["x_stage_mm"].to_numpy()
-        for row, quantity in enumerate(("te_x_mm", "contact_len_mm")):
-            axes = panels[row, column]
-            base = stage if quantity == "te_x_mm" else 0.0
-            sign = -1.0 if quantity == "te_x_mm" else 1.0
+        shown = (("te_x_mm", stage, -1.0), ("contact_len_mm", 0.0, 1.0))
+        for axes, (quantity, base, sign) in zip(panels[:, column], shown, strict=True):
             axes.plot(stage, base + sign * own[quantity], ".", color=FAINT, ms=4)
-            for name, colour in COLOURS.items():
+            for name, (colour, label) in MODELS.items():
                 values = base + sign * own[f"{quantity}_{name}"]
-                axes.plot(stage, values, color=colour, lw=1.4, label=LABELS[name])
+                axes.plot(stage, values, color=colour, lw=1.4, label=label)
             axes.tick_params(labelsize=8)
         panels[0, column].set_title(plain_text(f"run {run}"))
         panels[1, column].set_xlabel("stage (mm)")
