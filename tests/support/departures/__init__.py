@@ -1,7 +1,7 @@
 """A second bench for the criticism: other numerics, honest faults, laws that no library holds.
 
-It shares neither formula nor constant with the package ``slipstitch`` nor with
-``support.hidden_effects``: all is derived anew from docs/criticise-your-data.md.
+It shares neither formula nor constant with the package ``slipstitch``: all is derived anew from
+docs/criticise-your-data.md.
 """
 
 from support.departures.campaign import FAMILIES, draw_plan, make_case

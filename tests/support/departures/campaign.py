@@ -314,24 +314,28 @@ def make_case(seed, folder, family=None, departures=None, repeat=0, effect_free=
 
 def write(plan, folder, repeat=0):
     """The files of a plan."""
-    folder.mkdir(parents=True, exist_ok=True)
     tables = {}
     for protocol in plan.protocols:
         number = PROTOCOLS.index(protocol)
         tables |= measured(plan, protocol, np.random.default_rng([plan.seed, 50, number, repeat]))
     if plan.units:
         tables = sensors.wrong_units(plan.units, tables)
-    for name, table in tables.items():
-        table = table.drop(columns=[c for c in plan.missing if c in table]).assign(
-            **{c: "" for c in plan.missing if c in table}
-        )
-        table.to_csv(folder / f"{name}.csv", index=False)
-    nominal = {k: v for k, v in plan.nominal.items() if k != "reversal_dwell_s"}
+    for table in tables.values():
+        for column in set(plan.missing) & set(table):
+            table[column] = ""
+    write_case(folder, f"departures-{plan.seed}", tables, plan.nominal, plan.protocols)
+
+
+def write_case(folder, name, tables, nominal, protocols):
+    """A case folder."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for table, content in tables.items():
+        content.to_csv(folder / f"{table}.csv", index=False)
     meta = {
-        "case": f"departures-{plan.seed}",
-        "protocols": list(plan.protocols),
-        "reversal_dwell_s": plan.nominal["reversal_dwell_s"],
-        "nominal": nominal,
+        "case": name,
+        "protocols": list(protocols),
+        "reversal_dwell_s": nominal["reversal_dwell_s"],
+        "nominal": {k: v for k, v in nominal.items() if k != "reversal_dwell_s"},
     }
     (folder / "meta.json").write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
 

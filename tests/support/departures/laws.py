@@ -119,7 +119,9 @@ def friction_limit(contact, coefficient, effects, moving):
         force = force * (1 + size("static_kinetic"))
         force = force * (1 + size("ageing") * np.log10(1 + contact["dwell_s"]))
     for name in effects:
-        if name in _BEYOND:
+        if callable(effects[name]):  # another bench's law: a factor
+            force = force * effects[name](contact, moving)
+        elif name in _BEYOND:
             force = force * (1 + size(name) * _BEYOND[name](contact, effects[name], moving))
     return force + size("adhesion") * contact["area_m2"]
 

@@ -1,16 +1,21 @@
 """A simulated bench: draws a design, hides an effect, writes the case folder.
 
-``make_case(seed, kind, folder)`` returns the truth. Everything physical is written here anew, in
-plain numbers, so that a mistake in the package cannot cancel.
+``make_case(seed, kind, folder)`` returns the truth. Laws and elasticas are those of the bench of
+departures, drags and stick-slip are stepped here: nothing is of the package, so that a mistake in
+the package cannot cancel.
 """
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 
-from support.hidden_effects.elastica import hanging_cloth, pushed_strip
+from support.departures.campaign import write_case
+from support.departures.design import rows_of
+from support.departures.drop_drag import Cloth
+from support.departures.incline import slip_angle_deg
+from support.departures.laws import friction_limit
+from support.departures.strip import slip_strain
 from support.hidden_effects.slider_bench import G, spring_slider
 
 LIBRARY = (
@@ -82,69 +87,79 @@ def draw_effect(rng, name):
     return table[name]
 
 
+def _outside(name, e):
+    """The factor (contact, moving) of a law that no library holds, along one covariate."""
+
+    def bump(x):
+        return 1 + e["size"] * np.exp(-0.5 * ((x - e["at"]) / e["width"]) ** 2)
+
+    def ratio(c):
+        return c["load_N"] / 2e-3 if c.get("edge") else c["load_N"] / c["area_m2"] / 50.0
+
+    def wave(angle):
+        return 1 + e["size"] * angle
+
+    def smooth(c, moving):  # planted only: any law along one covariate
+        along = {"pos_x_mm": c["run_place_mm"], "clock_min": c["clock_min"]}
+        along |= {"load_ratio": ratio(c), "speed_mm_s": c["speed_mm_s"]}
+        return 1.0 if e["along"] == "speed_mm_s" and not moving else e["law"](along[e["along"]])
+
+    return {
+        "patch": lambda c, moving: bump(c["run_place_mm"]),
+        "thermal_cycle": lambda c, moving: wave(
+            np.sin(2 * np.pi * c["clock_min"] / e["period"] + e["phase"])
+        ),
+        "threefold": lambda c, moving: wave(
+            np.cos(3 * np.radians(c["orientation_deg"]) + e["phase"])
+        ),
+        "load_bump": lambda c, moving: bump(np.log10(50 * ratio(c))),
+        "operator": lambda c, moving: wave(np.equal(c["operator"], 1)),
+        "dwell_peak": lambda c, moving: 1.0 if moving else bump(np.log10(1 + c["dwell_s"])),
+        "smooth": smooth,
+    }[name]
+
+
 class World:
-    """Friction force, fabric and instruments with the hidden effects."""
+    """Friction, fabric and instruments with the hidden effects, for the bench of departures."""
 
-    def __init__(self, rng, effects, nominal, mu_face, mu_edge):
-        self.effects, self.nominal = effects, nominal
-        self.mu_face, self.mu_edge = mu_face, mu_edge
-        self.rng = rng
+    def __init__(self, effects, nominal, mu_face, mu_edge):
+        named = {"r0": "wear_r0", "azimuth": "tilt_azimuth"}
+        self.effects = {
+            name: {named.get(key, key): value for key, value in values.items()}
+            if name in LIBRARY
+            else _outside(name, values)
+            for name, values in effects.items()
+        }
+        self.nominal, self.mu_face, self.mu_edge = nominal, mu_face, mu_edge
 
-    def get(self, name, parameter=None, default=0.0):
-        values = self.effects.get(name)
-        return default if values is None else values[parameter or name]
+    def get(self, name, default=0.0):
+        return self.effects.get(name, {}).get(name, default)
 
     @property
     def rho(self):
         return self.nominal["rho_kg_m2"] * (1 + self.get("mass_error"))
 
-    def bump(self, name, x):
-        """The factor of an effect that is a bump along a covariate."""
-        if name not in self.effects:
-            return 1.0
-        e = self.effects[name]
-        return 1 + e["size"] * np.exp(-0.5 * ((x - e["at"]) / e["width"]) ** 2)
+    def rows(self, table, protocol):
+        """The runs in SI."""
+        names = table["operator"].map({"A": "ann", "B": "ben"})
+        own = table.assign(rh_pct=table["true_rh"], operator=names)
+        rows = rows_of(own, protocol, self.nominal["rho_kg_m2"])
+        return rows | {"run_place_mm": rows["place_mm"], "scatter": table["scatter"].to_numpy()}
 
-    def friction(self, load, area, row, phi_deg, static, dwell, speed, edge=False):
-        mu = self.mu_edge if edge else self.mu_face
-        ratio = load / 2e-3 if edge else load / area / 50.0
-        phi = np.radians(phi_deg)
-        force = load * mu * ratio ** self.get("load_power")
-        force = force * (1 + self.get("anisotropy") * np.cos(2 * phi))
-        force = force * (1 + self.get("nap") * np.cos(phi))
-        repeats = row["repeat_index"]
-        force = force * (
-            1 + self.get("wear") * (1 - np.exp(-repeats / self.get("wear", "r0", 1.0)))
-        )
-        force = force * (1 + self.get("humidity") * (row["true_rh"] - 50) / 10)
-        if static:
-            force = force * (1 + self.get("static_kinetic"))
-            force = force * (1 + self.get("ageing") * np.log10(1 + dwell))
-            force = force * self.bump("dwell_peak", np.log10(1 + dwell))
-        else:
-            force = force * (1 + self.get("rate") * np.log10(speed / 10))
-        force = force * self.bump("patch", row["pos_x_mm"])
-        if "thermal_cycle" in self.effects:
-            e = self.effects["thermal_cycle"]
-            angle = 2 * np.pi * row["clock_min"] / e["period"] + e["phase"]
-            force = force * (1 + e["size"] * np.sin(angle))
-        if "threefold" in self.effects:
-            e = self.effects["threefold"]
-            force = force * (1 + e["size"] * np.cos(3 * phi + e["phase"]))
-        force = force * self.bump("load_bump", np.log10(ratio * 50))
-        if "operator" in self.effects:
-            force = force * np.where(row["operator"] == "B", 1 + self.get("operator", "size"), 1)
-        if "smooth" in self.effects:  # planted only: any law along one covariate
-            e = self.effects["smooth"]
-            along = {"pos_x_mm": row["pos_x_mm"], "clock_min": row["clock_min"]}
-            along |= {"load_ratio": ratio, "speed_mm_s": 1.0 if static else speed}
-            if not (static and e["along"] == "speed_mm_s"):
-                force = force * e["law"](along[e["along"]])
-        return force * row["scatter"] + self.get("adhesion") * area
+    def friction(self, row, load, moving, **changes):
+        """Of one run under a load, N."""
+        contact = row | {"load_N": load} | changes
+        return friction_limit(contact, self.mu_face * row["scatter"], self.effects, moving)
 
     def downhill(self, azimuth_deg):
-        tilt, azimuth = self.get("tilt"), self.get("tilt", "azimuth")
-        return np.radians(tilt) * np.cos(np.radians(azimuth_deg - azimuth))
+        tilt = self.effects.get("tilt", {"tilt": 0.0, "tilt_azimuth": 0.0})
+        return np.radians(tilt["tilt"]) * np.cos(np.radians(azimuth_deg - tilt["tilt_azimuth"]))
+
+
+def _each(rows):
+    """Every run's own values."""
+    for i in range(len(rows["scatter"])):
+        yield {name: values[i] for name, values in rows.items()}
 
 
 def _common(rng, letter, specimens, trials, noise, options):
@@ -197,20 +212,9 @@ def _incline(rng, world, noise, options, switch):
     table["area_cm2"] = area
     masses = [0.0, 5.0, 20.0, 50.0, 200.0] if options["load"] == "varied" else [5.0, 50.0]
     table["added_mass_g"] = rng.choice(masses, n)
-    true = np.empty(n)
-    for i, row in table.iterrows():
-        a = row["area_cm2"] * 1e-4
-        weight = (world.rho * a + row["added_mass_g"] * 1e-3) * G
-        low, high = 0.0, np.radians(89.9)
-        for _ in range(60):
-            mid = 0.5 * (low + high)
-            load = weight * np.cos(mid)
-            limit = world.friction(load, a, row, row["orientation_deg"], True, row["dwell_s"], None)
-            if weight * np.sin(mid) > limit:
-                high = mid
-            else:
-                low = mid
-        true[i] = np.degrees(mid) - np.degrees(world.downhill(row["azimuth_deg"]))
+    rows = world.rows(table, "incline")
+    coefficient = world.mu_face * rows["scatter"]
+    true = slip_angle_deg(rows, coefficient, world.effects, world.nominal["rho_kg_m2"])
     u = noise["u_angle"]
     reading = true + switch * u * noise["understated"] * rng.standard_normal(n)
     table["censored"] = (reading > 60).astype(int)
@@ -228,39 +232,15 @@ def _strip(rng, world, noise, options, switch):
     table["width_mm"] = rng.choice([8.0, 12.0, 16.0], n)
     table["ply"] = rng.choice([1.0, 2.0], n)
     table["push_speed_mm_s"] = 0.5
-    ply, length, width = (
-        table["ply"].to_numpy(),
-        table["length_mm"].to_numpy() * 1e-3,
-        table["width_mm"].to_numpy() * 1e-3,
-    )
-    nominal = world.nominal
-    bending = nominal["B_strip_Nm"] * (1 + world.get("bending_error"))
-    bending = bending * ply ** nominal["ply_exponent"]
-    gamma = world.rho * ply * G * length**3 / bending
-    unit = bending * width / length**2
-    ratio = np.full(n, world.mu_edge)
-    for _ in range(8):
-        _, load, _ = pushed_strip(gamma, np.minimum(ratio, 3.0))
-        normal = load * unit
-        limit = world.friction(
-            normal,
-            width * nominal["thickness_m"],
-            table,
-            table["orientation_deg"].to_numpy(),
-            True,
-            table["dwell_s"].to_numpy(),
-            None,
-            edge=True,
-        )
-        ratio = np.tan(np.arctan(limit / normal) - world.downhill(table["azimuth_deg"]))
-        ratio = np.maximum(np.asarray(ratio, float), 1e-3)
-    strain, _, flat = pushed_strip(gamma, ratio)
-    strain = strain * world.get("camera_scale", default=1.0)
+    rows = world.rows(table, "strip")
+    rows["area_m2"] = rows["width_m"] * world.nominal["thickness_m"]
+    coefficient = world.mu_edge * rows["scatter"]
+    strain, slipped = slip_strain(rows, coefficient, world.effects, world.nominal)
     u = noise["u_eps"]
     reading = strain + switch * u * noise["understated"] * rng.standard_normal(n)
     table["eps_slip"] = reading.round(5)
     table["u_eps"] = u
-    table["regime"] = np.where(flat, "partial", "slipped")
+    table["regime"] = np.where(slipped, "slipped", "partial")
     return {"strip": table}
 
 
@@ -280,10 +260,9 @@ def _drag(rng, world, noise, options, switch):
     gain, offset = 1 + world.get("force_gain"), world.get("force_offset")
     lost = world.get("backlash")
     traces = []
-    for _, row in table.iterrows():
-        a = row["area_cm2"] * 1e-4
-        load = (world.rho * a + row["added_mass_g"] * 1e-3) * G
-        slope = 1e3 * load * np.sin(world.downhill(row["stage_azimuth_deg"]))
+    for run_id, row in zip(table["run_id"], _each(world.rows(table, "drag")), strict=True):
+        load = (world.rho * row["area_m2"] + row["added_kg"]) * G
+        slope = 1e3 * load * np.sin(world.downhill(row["azimuth_deg"]))
         points = round(reach / step) + 1
         texture = np.empty(points)
         texture[0] = rng.standard_normal()
@@ -292,12 +271,10 @@ def _drag(rng, world, noise, options, switch):
         texture = 1 + switch * noise["texture"] * texture
         pull, x = 0.0, np.linspace(0, reach, points)
         for stroke, direction in ((0, 1), (1, -1)):
-            phi = row["orientation_deg"] + 180 * stroke
-            dwell = row["dwell_s"] if stroke == 0 else world.nominal["reversal_dwell_s"]
-            peak, moving = (
-                1e3 * world.friction(load, a, row, phi, static, dwell, row["speed_mm_s"])
-                for static in (True, False)
-            )
+            if stroke:
+                row["orientation_deg"] += 180.0
+                row["dwell_s"] = world.nominal["reversal_dwell_s"]
+            peak, moving = (1e3 * world.friction(row, load, moves) for moves in (False, True))
             # Below its kinetic friction a slider creeps and the spring pulls it on.
             peak = max(peak, moving)
             path = x if stroke == 0 else x[::-1]
@@ -324,7 +301,7 @@ def _drag(rng, world, noise, options, switch):
             traces.append(
                 pd.DataFrame(
                     {
-                        "run_id": row["run_id"],
+                        "run_id": run_id,
                         "stroke": stroke,
                         "t_s": (np.arange(points) * step / row["speed_mm_s"]).round(4),
                         "x_stage_mm": path.round(4),
@@ -345,65 +322,18 @@ def _drop_drag(rng, world, noise, options, switch):
     speeds = [3.0, 10.0, 20.0]
     table["speed_mm_s"] = rng.choice(speeds, n)
     table["u_pos_mm"] = noise["u_pos"]
-    nominal = world.nominal
-    downhill = world.downhill(table["stage_azimuth_deg"].to_numpy())
-    weight, lean = world.rho * G * np.cos(downhill), np.tan(downhill)
-    bending = nominal["B_Nm"] * (1 + world.get("bending_error"))
-    scale, lag = world.get("camera_scale", default=1.0), world.get("time_lag")
-    h = table["height_mm"].to_numpy() * 1e-3
-    beta, length = bending / (weight * h**3), nominal["cloth_length_m"] / h
-
-    def excess(mid, static):
-        lifted, _, point = hanging_cloth(beta, mid, lean)
-        c = np.maximum(length - lifted, 1e-4)
-        normal = (c + point) * weight * h
-        limit = np.asarray(
-            world.friction(
-                normal,
-                c * h,
-                table,
-                table["orientation_deg"].to_numpy(),
-                static,
-                table["dwell_s"].to_numpy(),
-                table["speed_mm_s"].to_numpy(),
-            )
-        )
-        limit = limit - c * h * weight * lean
-        return mid - limit / (weight * h)
-
-    def steady(static):
-        low, high = np.full(n, 1e-4), np.full(n, 8.0)
-        excess_low, excess_high = excess(low, static), excess(high, static)
-        side = np.zeros(n)
-        for _ in range(30):  # regula falsi, Illinois
-            mid = (low * excess_high - high * excess_low) / (excess_high - excess_low)
-            value = excess(mid, static)
-            up = value > 0
-            high, excess_high = np.where(up, mid, high), np.where(up, value, excess_high)
-            low, excess_low = np.where(up, low, mid), np.where(up, excess_low, value)
-            excess_low = np.where(up & (side > 0), excess_low / 2, excess_low)
-            excess_high = np.where(~up & (side < 0), excess_high / 2, excess_high)
-            side = np.where(up, 1, -1)
-            if np.max(np.abs(value)) < 1e-6:
-                break
-        return mid
-
-    eta_moving = steady(False)
-    eta_static = np.maximum(steady(True), eta_moving)
-    fractions = np.linspace(0, 1, 28) ** 2
-    grid = np.maximum(eta_static, eta_moving)[:, None] * fractions
-    lifted, extent, _ = hanging_cloth(
-        np.repeat(beta[:, None], 28, 1), grid, np.repeat(lean[:, None], 28, 1)
-    )
-    flat = length[:, None] - lifted
-    distance = (flat + extent) * h[:, None] * 1e3
-    flat = flat * h[:, None] * 1e3
-    frames = []
-    for i, row in table.iterrows():
-        advance = distance[i] - distance[i, 0]
-        slip = np.interp(eta_static[i], grid[i], advance)
-        follow = np.interp(eta_moving[i], grid[i], advance)
-        contact = np.interp(eta_moving[i], grid[i], flat[i])
+    scale, lag = world.get("camera_scale", 1.0), world.get("time_lag")
+    frames, cloths = [], {}
+    for run_id, row in zip(table["run_id"], _each(world.rows(table, "drop_drag")), strict=True):
+        key = (row["height_m"], world.downhill(row["azimuth_deg"]))
+        if key not in cloths:
+            cloths[key] = Cloth(*key, world.effects, world.nominal)
+        cloth = cloths[key]
+        law = (row, world.mu_face * row["scatter"], world.effects, None)
+        held, sliding = (cloth.gap_where_it_gives(*law, moves, 0.0) for moves in (False, True))
+        advance, flat = 1e3 * (cloth.gap - cloth.gap[0]), 1e3 * cloth.contact
+        slip, follow = (1e3 * (gap - cloth.gap[0]) for gap in (max(held, sliding), sliding))
+        contact = np.interp(follow, advance, flat)
         reach, speed = 250.0, row["speed_mm_s"]
         pause = reach / speed
         times = np.arange(0, (reach + 40) / speed, 1 / 2.4 if speed >= 10 else 0.8)
@@ -413,13 +343,13 @@ def _drop_drag(rng, world, noise, options, switch):
         forward = past <= pause
         te = np.where(forward, np.where(x_then < slip, 0.0, x_then - follow), reach - follow)
         behind = np.where(forward, np.where(x_then < slip, x_then, follow), x_then - te)
-        c = np.where(forward & (x_then >= slip), contact, np.interp(behind, advance, flat[i]))
-        c = np.where(~forward & (behind < 0), flat[i, 0], c)
+        c = np.where(forward & (x_then >= slip), contact, np.interp(behind, advance, flat))
+        c = np.where(~forward & (behind < 0), flat[0], c)
         m = len(times)
         u = noise["u_pos"] * noise["understated"] * switch
         part = pd.DataFrame(
             {
-                "run_id": row["run_id"],
+                "run_id": run_id,
                 "frame": np.arange(m),
                 "phase": np.where(times <= pause, "fwd", "rev"),
                 "t_s": times.round(4),
@@ -537,7 +467,7 @@ def make_case(seed, kind, folder, noise_free=False, draw=0, effect_free=False, p
         effects, protocols = plant[0], set(plant[1])
     mu_face = float(np.exp(rng.uniform(np.log(0.2), np.log(0.8))))
     mu_edge = rng.uniform(0.12, 0.3)
-    world = World(rng, {} if effect_free else effects, nominal, mu_face, mu_edge)
+    world = World({} if effect_free else effects, nominal, mu_face, mu_edge)
     switch = 1.0
     if noise_free:
         switch = 0.0
@@ -558,21 +488,13 @@ def make_case(seed, kind, folder, noise_free=False, draw=0, effect_free=False, p
         "mu_edge": mu_edge,
         "protocols": sorted(protocols),
     }
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
     for name, table in tables.items():
         if kind == "unrecorded" and COVARIATE_OF[chosen[0]] in table:
             table[COVARIATE_OF[chosen[0]]] = np.nan
+        outlier = table["outlier"] if "outlier" in table else np.zeros(len(table), bool)
+        truth.setdefault("outliers", {})[name] = table.loc[outlier, "run_id"].tolist()
         hidden = [c for c in ("true_rh", "scatter", "outlier") if c in table]
-        truth.setdefault("outliers", {})[name] = (
-            table.loc[table["outlier"], "run_id"].tolist() if "outlier" in table else []
-        )
-        table.drop(columns=hidden).to_csv(folder / f"{name}.csv", index=False)
-    meta = {
-        "case": f"seed{seed}",
-        "nominal": {k: v for k, v in nominal.items() if k != "reversal_dwell_s"},
-        "reversal_dwell_s": nominal["reversal_dwell_s"],
-        "protocols": [name for name in builders if name in protocols],
-    }
-    (folder / "meta.json").write_text(json.dumps(meta))
+        tables[name] = table.drop(columns=hidden)
+    used = [name for name in builders if name in protocols]
+    write_case(Path(folder), f"seed{seed}", tables, nominal, used)
     return truth

@@ -67,22 +67,22 @@ def spring_slider(rng, world, noise, common, switch):
     table["speed_mm_s"] = rng.choice(SPEEDS_MM_S, n)
     table["u_force_mN"] = noise["u_force"]
     traces = []
-    for _, row in table.iterrows():
-        area = row["area_cm2"] * 1e-4
-        mass = world.rho * area + row["added_mass_g"] * 1e-3
+    rows = world.rows(table, "spring_slider")
+    for i, run_id in enumerate(table["run_id"]):
+        row = {name: values[i] for name, values in rows.items()}
+        mass = world.rho * row["area_m2"] + row["added_kg"]
         load = mass * G
-        slope = load * np.sin(world.downhill(row["stage_azimuth_deg"]))
+        slope = load * np.sin(world.downhill(row["azimuth_deg"]))
         knots = np.cumsum(rng.exponential(noise["texture_length"] * 1e-3, 400))
         uneven = 1 + switch * noise["texture"] * rng.standard_normal(400)
-        phi = row["orientation_deg"]
-        moving = float(world.friction(load, area, row, phi, False, None, row["speed_mm_s"]))
+        moving = float(world.friction(row, load, True))
 
         def at(place, knots=knots, uneven=uneven):
             return float(np.interp(place, knots, uneven))
 
-        def static(stuck_s, place, row=row, load=load, area=area, phi=phi, at=at, slope=slope):
+        def static(stuck_s, place, row=row, load=load, at=at, slope=slope):
             rest = stuck_s + (row["dwell_s"] if place == 0.0 else 0.0)
-            return float(world.friction(load, area, row, phi, True, rest, None)) * at(place) - slope
+            return float(world.friction(row, load, False, dwell_s=rest)) * at(place) - slope
 
         def kinetic(place, moving=moving, at=at, slope=slope):
             return moving * at(place) - slope
@@ -97,8 +97,6 @@ def spring_slider(rng, world, noise, common, switch):
             rng.standard_normal(len(seen))
         )
         traces.append(
-            pd.DataFrame(
-                {"run_id": row["run_id"], "t_s": seen.round(5), "force_mN": force.round(4)}
-            )
+            pd.DataFrame({"run_id": run_id, "t_s": seen.round(5), "force_mN": force.round(4)})
         )
     return {"spring_slider_runs": table, "spring_slider": pd.concat(traces, ignore_index=True)}
