@@ -22,24 +22,13 @@ Videos = frozenset[str]
 
 @dataclass(frozen=True)
 class Variant:
-    """One way to train.
+    """One way to train."""
 
-    Attributes
-    ----------
-    phrase : str
-        Names it in a sentence; may hold numbers of a `Selection`.
-    train : dict
-        Overrides of the section ``train``.
-    material : {"none", "predicted", "true"}
-        What the friction network is conditioned on.
-    joint : bool
-        All viewpoints from the first epoch, instead of one more each cycle.
-    """
-
-    phrase: str
-    train: dict[str, Any] = field(default_factory=dict)
+    phrase: str  # names it in a sentence; may hold numbers of a `Selection`
+    train: dict[str, Any] = field(default_factory=dict)  # overrides of the section ``train``
+    # what the friction network is conditioned on
     material: Literal["none", "predicted", "true"] = "none"
-    joint: bool = False
+    joint: bool = False  # all viewpoints from the first epoch, instead of one more each cycle
 
 
 @dataclass(frozen=True)
@@ -72,15 +61,11 @@ class Candidates:
 
     def ids(self, wanted: set[tuple[str, str]]) -> Videos:
         """Return the training videos of some (simulation, texture), from all viewpoints."""
-        return frozenset(
-            row["video"]
-            for row in self.training
-            if (row["simulation"], row["texture_id"]) in wanted
-        )
+        return _ids(self.training, lambda row: (row["simulation"], row["texture_id"]) in wanted)
 
     def tests(self, counts: Callable[[Row], bool] = lambda row: True) -> Videos:
         """Return the held-out videos that count."""
-        return frozenset(row["video"] for row in self.held_out if counts(row))
+        return _ids(self.held_out, counts)
 
     def dealt(self, simulations: list[Row], generator: np.random.Generator) -> dict[str, str]:
         """Return a texture for each simulation, all equally often among those of a coefficient.
@@ -96,6 +81,10 @@ class Candidates:
             for place, name in enumerate(generator.permutation(sorted(names)), first):
                 result[str(name)] = textures[place % len(textures)]
         return result
+
+
+def _ids(rows: list[Row], counts: Callable[[Row], bool]) -> Videos:
+    return frozenset(row["video"] for row in rows if counts(row))
 
 
 def _diversity(videos: Candidates, generator: np.random.Generator) -> Selection:
@@ -186,24 +175,14 @@ def _mirrors(row: Row) -> bool:
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked, and how it is answered.
-
-    Attributes
-    ----------
-    asks : str
-    variants : dict
-        Name -> variant; the others are compared with the first.
-    select : callable, optional
-        Which videos train each variant; by default all training simulations train every one, each
-        in one texture.
-    needs : int
-        Viewpoints: that many at least, and all of them; 1: the calibrated one alone.
-    """
+    """What is asked, and how it is answered."""
 
     asks: str
-    variants: dict[str, Variant]
+    variants: dict[str, Variant]  # the others are compared with the first
+    # which videos train each variant; by default all training simulations train every one, each in
+    # one texture
     select: Callable[[Candidates, np.random.Generator], Selection] | None = None
-    needs: int = 1
+    needs: int = 1  # viewpoints: that many at least, and all; 1: the calibrated one alone
 
 
 QUESTIONS = {
@@ -255,22 +234,9 @@ def selected(
 ) -> tuple[list[str], Selection]:
     """Return the viewpoints of a question, and its videos.
 
-    Parameters
-    ----------
-    name : str
-        One of `QUESTIONS`.
-    rows : sequence of dict
-        The manifest.
-    viewpoints : sequence of str
-        Training viewpoints, the calibrated one first.
-    settings : AblateSettings
-    seed : int
-        Draws which videos train, where there is a choice: so the spread over seeds holds it too.
-
-    Raises
-    ------
-    BadInput
-        If the dataset cannot answer the question: what is needed.
+    `rows` are those of the manifest, `viewpoints` those that train, the calibrated one first. The
+    seed draws which videos train, where there is a choice: so the spread over seeds holds it too.
+    BadInput, with what is needed, if the dataset cannot answer the question.
     """
     question = QUESTIONS[name]
     if not set(VARIANTS[name]) & set(settings.networks):

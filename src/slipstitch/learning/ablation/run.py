@@ -2,7 +2,6 @@
 
 import dataclasses
 import os
-from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -15,15 +14,13 @@ from slipstitch.config.train import TrainSettings
 from slipstitch.dataset.manifest import MANIFEST, read_manifest
 from slipstitch.dataset.videos import read_videos
 from slipstitch.design.trainable import view_order
-from slipstitch.learning.ablation.questions import QUESTIONS, Variant, selected
+from slipstitch.learning.ablation.questions import QUESTIONS, selected
 from slipstitch.learning.instrument.measuring import Instrument, load_instrument
 from slipstitch.learning.instrument.training import train_instrument
 from slipstitch.learning.lrcn_model import TRUE, LrcnModel, load_model
 from slipstitch.learning.lrcn_training import train_network
 from slipstitch.learning.schedule import FINE_TUNING, Phase
 from slipstitch.learning.trainer import DivergedError, Run
-
-SPLIT = "by_simulation"
 
 
 @dataclass(frozen=True)
@@ -41,15 +38,8 @@ def lrcn_settings(config: Config, overrides: dict[str, Any]) -> TrainSettings:
 
     A run that stays at chance is a result here, so that it does not fail.
     """
-    whole = {**config.train.model_dump(), **config.ablate.train, **overrides}
-    return TrainSettings.model_validate({**whole, "plateau_margin": None})
-
-
-def instrument_settings(config: Config) -> InstrumentSettings:
-    """Return the section `instrument` with the overrides; staying at chance does not fail."""
-    whole = {**config.instrument.model_dump(), **config.ablate.instrument}
-    own = {"epochs": config.ablate.instrument_passes, "plateau_margin": None}
-    return InstrumentSettings.model_validate({**whole, **own})
+    whole = config.train.model_dump() | config.ablate.train | overrides
+    return TrainSettings.model_validate(whole | {"plateau_margin": None})
 
 
 def phases(viewpoints: list[str], passes: int, fine_tuning: int, joint: bool) -> list[Phase]:
@@ -78,17 +68,7 @@ def phases(viewpoints: list[str], passes: int, fine_tuning: int, joint: bool) ->
 def run_case(
     config: Config, dataset: str | os.PathLike, case: Case, folder: Path, threads: int = 1
 ) -> dict[str, Any]:
-    """Train a variant and test it.
-
-    Parameters
-    ----------
-    config : Config
-    dataset : path
-        Folder that the sample stage wrote.
-    case : Case
-    folder : path
-        Gets the models.
-    threads : int
+    """Train a variant, its models in a folder, and test it.
 
     Returns
     -------
@@ -112,14 +92,16 @@ def run_case(
             raise
         return result | {"left_out": str(reason), "predictions": []}
     variant = QUESTIONS[case.question].variants[case.variant]
-    training = videos.training[case.variant]
-    planned = _planned(config, variant, views)
+    settings = lrcn_settings(config, variant.train)
+    planned = phases(views, config.ablate.passes, settings.fine_tuning_epochs, variant.joint)
     passes = sum(phase.epochs * len(phase.viewpoints) for phase in planned) / len(views)
+    training = videos.training[case.variant]
+    is_instrument = case.network == "instrument"
     result |= {
         "phrase": variant.phrase.format(**videos.numbers),
         "training_videos": len(training),
         "training_simulations": len({name.rsplit("_", 2)[0] for name in training}),
-        "passes": config.ablate.instrument_passes if case.network == "instrument" else passes,
+        "passes": config.ablate.instrument_passes if is_instrument else passes,
         "failure": None,
         "stayed_at_chance": False,
         "material_stayed_at_chance": False,
@@ -127,21 +109,21 @@ def run_case(
     }
     run = Run(
         dataset,
-        SPLIT,
+        "by_simulation",
         case.seed,
         folder,
         frames=config.sample.frames,
         uses=lambda row: row["video"] in training,
         threads=threads,
     )
-    margin = config.train.plateau_margin
-    train: Callable[..., LrcnModel | Instrument] = _lrcn
-    if case.network == "instrument":
-        margin, train = config.instrument.plateau_margin, _instrument
     try:
-        model = train(config, run, variant, views)
+        if is_instrument:
+            model: LrcnModel | Instrument = _instrument(config, run, views)
+        else:
+            model = _lrcn(settings, run, variant.material, views, planned)
     except DivergedError as failure:
         return result | {"failure": str(failure)}
+    margin = (config.instrument if is_instrument else config.train).plateau_margin
     result["stayed_at_chance"] = _at_chance(model, margin)
     if isinstance(model, LrcnModel) and model.material is not None:
         result["material_stayed_at_chance"] = _at_chance(model.material, margin)
@@ -169,38 +151,30 @@ def _predictions(
     ]
 
 
-def _planned(config: Config, variant: Variant, views: list[str]) -> list[Phase]:
-    settings = lrcn_settings(config, variant.train)
-    return phases(views, config.ablate.passes, settings.fine_tuning_epochs, variant.joint)
-
-
-def _lrcn(config: Config, run: Run, variant: Variant, views: list[str]) -> LrcnModel:
+def _lrcn(
+    settings: TrainSettings, run: Run, conditioned_on: str, views: list[str], planned: list[Phase]
+) -> LrcnModel:
     """The paper's network as a variant trains it, with its material network if it has one."""
 
     def train(network: str, name: str, material: Any = None) -> LrcnModel:
         own = dataclasses.replace(run, out=Path(run.out) / name)
-        train_network(
-            lrcn_settings(config, variant.train),
-            own,
-            network,
-            views,
-            material_model=material,
-            phases=_planned(config, variant, views),
-        )
+        train_network(settings, own, network, views, material_model=material, phases=planned)
         return load_model(own.out)
 
-    if variant.material == "none":
+    if conditioned_on == "none":
         return train("friction_baseline", "friction")
-    if variant.material == "true":
+    if conditioned_on == "true":
         return train("friction_conditional", "friction", TRUE)
     material = train("material_baseline", "material")
     friction = train("friction_conditional", "friction", Path(run.out) / "material")
     return friction.listening_to(material)
 
 
-def _instrument(config: Config, run: Run, variant: Variant, views: list[str]) -> Instrument:
-    """The instrument trained on a variant's videos."""
-    train_instrument(instrument_settings(config), run, views[:1])
+def _instrument(config: Config, run: Run, views: list[str]) -> Instrument:
+    """The instrument trained with the overrides; staying at chance does not fail."""
+    own = {"epochs": config.ablate.instrument_passes, "plateau_margin": None}
+    whole = config.instrument.model_dump() | config.ablate.instrument | own
+    train_instrument(InstrumentSettings.model_validate(whole), run, views[:1])
     return load_instrument(run.out)
 
 
