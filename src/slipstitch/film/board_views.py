@@ -49,18 +49,11 @@ def _frames(path: str | os.PathLike) -> Iterator[tuple[str, np.ndarray]]:
 
 
 def read_views(paths: Sequence[str | os.PathLike], board: Board) -> list[BoardView]:
-    """The views in which the board is seen.
+    """The views in which the board is seen, of images or one video.
 
-    Parameters
-    ----------
-    paths : sequence of paths
-        Images, or one video. Of a video, up to 60 frames at regular intervals are looked at and
-        the 25 in which the board's places differ most are kept.
-
-    Raises
-    ------
-    BadInput
-        If a file cannot be read, sizes differ, or the board is in none.
+    Of a video, up to 60 frames at regular intervals are looked at and the 25 in which the
+    board's places differ most are kept. BadInput if a file cannot be read, sizes differ, or the
+    board is in none.
     """
     names = [Path(path) for path in paths]
     is_video = [path.suffix.lower() in VIDEOS for path in names]

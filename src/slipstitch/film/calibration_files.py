@@ -39,17 +39,12 @@ def camera_to_file(
     source : path, or sequence of path
         Another program's calibration; or images of the board, or one video of it.
     stage_view : path, optional
-        The board on the floor, seen by the camera in its place on the bench; without it, the file
-        does not say where the camera stands.
-    place : FloorPlace
-        Where the board lies then.
+        The board on the floor, at `place`, seen by the camera on its bench; without it,
+        the file does not say where the camera stands.
     picture : path, optional
         Of the residuals of a calibration, PNG or SVG.
 
-    Raises
-    ------
-    BadInput
-        If the source or the stage view cannot be used.
+    BadInput if the source or the stage view cannot be used.
     """
     started = start_clock()
     lens: Lens

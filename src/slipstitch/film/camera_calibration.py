@@ -66,14 +66,10 @@ def _rms(residuals_px: np.ndarray) -> float:
 def calibrate(views: list[BoardView]) -> Calibration:
     """The camera that saw these views.
 
-    Of three lens models the simplest is taken that predicts views it was not fitted to within 0.1 %
-    of the best one, so that a coefficient that the views do not ask for stays zero. Views that fit
-    four times worse than the median one are left out.
-
-    Raises
-    ------
-    BadInput
-        With fewer than five views, or views so much alike that the focal length stays open.
+    Of three lens models the simplest is taken that predicts views it was not fitted to within
+    0.1 % of the best one, so that a coefficient that the views do not ask for stays zero. Views
+    that fit four times worse than the median one are left out. BadInput with fewer than five
+    views, or views so much alike that the focal length stays open.
     """
     _need(views, {})
     best = _fit(views, _simplest(views))
@@ -207,11 +203,8 @@ def stage_pose(
 ) -> StagePose:
     """Return the position of a camera, from one image (rows, columns) of the board on the floor.
 
-    Raises
-    ------
-    BadInput
-        If the image has another size, no board is found in it, or no camera of a bench could stand
-        where this one would.
+    BadInput if the image has another size, no board is found in it, or no camera of a bench
+    could stand where this one would.
     """
     if grey.shape[::-1] != tuple(lens.size_px):
         raise BadInput(

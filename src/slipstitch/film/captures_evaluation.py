@@ -60,16 +60,8 @@ _FRAMES_SHOWN = 10
 def predict_captures(dataset: str | os.PathLike, trained: Trained) -> list[dict[str, Any]]:
     """Return the predictions of all trained models for all captures, a row each.
 
-    Parameters
-    ----------
-    dataset : path
-        What `slipstitch capture ingest` wrote.
-
-    Raises
-    ------
-    BadInput
-        If there is no model, two were trained on different datasets, or files are damaged or of
-        another shape.
+    Of what `slipstitch capture ingest` wrote. BadInput if there is no model, two were trained
+    on different datasets, or files are damaged or of another shape.
     """
     models = trained.load()
     # Captures are of no training, so nothing else tells that these are of one dataset.

@@ -70,18 +70,10 @@ def read_captures(
 ) -> list[Capture]:
     """The captures of a table, in its order.
 
-    Parameters
-    ----------
-    path : path
-        CSV; paths in it are relative to its folder and stay below it.
-    reference : path, optional
-        What `slipstitch capture reference` wrote; fills empty cells of mu_ref and its error.
-
-    Raises
-    ------
-    BadInput
-        If a cell is wrong, a file is missing, a repeat or a video is duplicated, or the rows of a
-        pair contradict one another.
+    Paths in it are relative to its folder and stay below it. Empty cells of mu_ref and its
+    error are filled from `reference`, which `slipstitch capture reference` wrote. BadInput if a
+    cell is wrong, a file is missing, a repeat or a video is duplicated, or the rows of a pair
+    contradict one another.
     """
     below = file_below(Path(path).parent)
     friction = number(0, LARGEST_FRICTION)

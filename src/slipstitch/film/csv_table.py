@@ -96,24 +96,11 @@ def file_below(folder: str | os.PathLike) -> Callable[[str], Path]:
 
 
 def read_table(path: str | os.PathLike, columns: Sequence[TableColumn]) -> list[dict[str, Any]]:
-    """Read the rows of a CSV file, in whichever dialect it is written.
+    """Read the rows of a CSV file that may have these columns, in whichever dialect it is written.
 
-    Parameters
-    ----------
-    columns : sequence of TableColumn
-        All that it may have.
-
-    Returns
-    -------
-    list of dict
-        Column -> value; ``line`` is the row's number in the file. A column that is not there is
-        None in all rows.
-
-    Raises
-    ------
-    BadInput
-        If the file is missing, not CSV, lacks a column or has another, or a cell cannot be read or
-        begins like a formula.
+    Column -> value; ``line`` is the row's number in the file. A column that is not there is
+    None in all rows. BadInput if the file is missing, not CSV, lacks a column or has another,
+    or a cell cannot be read or begins like a formula.
     """
     known = {column.name: column for column in columns}
     table = read_cells(path, known, _LARGEST_BYTES)

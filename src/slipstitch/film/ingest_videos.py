@@ -49,7 +49,7 @@ def ingest(
     reference: str | os.PathLike | None = None,
     progress=iter,
 ) -> list[dict[str, Any]]:
-    """Bring the videos of a captures table into a dataset.
+    """Bring the videos of a captures table into a dataset; return the rows of ``captures.parquet``.
 
     Parameters
     ----------
@@ -63,15 +63,7 @@ def ingest(
     progress : callable
         Wraps the list of captures.
 
-    Returns
-    -------
-    list of dict
-        Rows of ``captures.parquet``.
-
-    Raises
-    ------
-    BadInput
-        If the table, a camera file or a video cannot be used.
+    BadInput if the table, a camera file or a video cannot be used.
     """
     started = start_clock()
     captures = read_captures(table, reference)

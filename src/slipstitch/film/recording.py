@@ -142,11 +142,8 @@ class Recording:
     def moments(self) -> Iterator[Moment]:
         """Every frame in turn; frames whose time does not advance are left out.
 
-        Raises
-        ------
-        BadInput
-            If the file gives no times, times that start again, or too coarse ones, and no frame
-            rate was stated.
+        BadInput if the file gives no times, times that start again, or too coarse ones, and no
+        frame rate was stated.
         """
         first = last = None
         equal = 0

@@ -46,10 +46,7 @@ class SlipAngles:
 def read_angles(path: str | os.PathLike) -> list[SlipAngles]:
     """Slip angles by pair, in the order of the table.
 
-    Raises
-    ------
-    BadInput
-        If a cell is wrong, a measurement is there twice, or a pair has two bench errors.
+    BadInput if a cell is wrong, a measurement is there twice, or a pair has two bench errors.
     """
     rows = read_table(
         path,
@@ -125,10 +122,7 @@ class Reference:
 def estimate(angles: SlipAngles) -> Reference:
     """Friction of one pair.
 
-    Raises
-    ------
-    BadInput
-        With fewer than three measurements, or too few to tell orientations from scatter.
+    BadInput with fewer than three measurements, or too few to tell orientations from scatter.
     """
     where = f"{angles.material} on {angles.substrate}"
     values = np.tan(angles.angle_rad)

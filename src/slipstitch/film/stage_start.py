@@ -149,13 +149,7 @@ def find_start(
 
 
 class Search:
-    """A search for the start of the stage's motion, frame by frame.
-
-    Parameters
-    ----------
-    lens, crop, path
-        As for `find_start`.
-    """
+    """A search for the start of the stage's motion, frame by frame; as `find_start`."""
 
     def __init__(self, lens: Camera, crop: Camera, path: StagePath):
         self._followers = [_Follower(_Strip(lens, crop, path, *size), path) for size in _STRIPS_M]

@@ -65,10 +65,8 @@ def read_stage_video(
 
     Parameters
     ----------
-    lens : Camera
-        The camera that took it, at the stage.
-    schedule : Schedule
-        Which moments, through which crop.
+    lens, schedule
+        The camera that took it, at the stage; which moments, through which crop.
     start_s : float, optional
         Time in the video at which the stage starts; found in the frames by default. One that the
         frames contradict is refused, one that they do not confirm is noted.
@@ -77,11 +75,8 @@ def read_stage_video(
     note_far_view : bool
         Whether a camera aside of the viewpoint is worth a note: it is not to who knows its pose.
 
-    Raises
-    ------
-    BadInput
-        If the file is no video, of another size than the camera's images, too short, has gaps, or
-        does not show a stage that moves as the protocol says.
+    BadInput if the file is no video, of another size than the camera's images, too short, has
+    gaps, or does not show a stage that moves as the protocol says.
     """
     recording = Recording(path, frame_rate_hz)
     _check_size(recording, lens)

@@ -22,21 +22,13 @@ CHECKPOINT = "checkpoint.safetensors"
 
 @dataclass
 class Progress:
-    """Progress of a training: finished epochs, steps of the current one and its sums.
-
-    Attributes
-    ----------
-    epoch, step : int
-    sums : dict
-        Losses and other columns of the history, summed over the current epoch's videos so far.
-    history : list of dict
-        One row per finished epoch.
-    """
+    """Progress of a training: finished epochs, steps of the current one and its sums."""
 
     epoch: int = 0
     step: int = 0
+    # losses and other columns of the history, summed over the current epoch's videos so far
     sums: dict[str, float] = field(default_factory=dict)
-    history: list[dict[str, Any]] = field(default_factory=list)
+    history: list[dict[str, Any]] = field(default_factory=list)  # one row per finished epoch
 
     def add(self, sums: dict[str, float]) -> None:
         """One step more, with its sums over the batch."""
@@ -89,13 +81,9 @@ def load_checkpoint(
 ) -> tuple[Progress | None, str]:
     """Put a training back where a checkpoint left it, and count the time that it took until then.
 
-    Returns
-    -------
-    progress : Progress or None
-        None if there is nothing to go on from; network, optimiser and random numbers are untouched
-        then.
-    message : str
-        What happened, to be shown; empty if there is no checkpoint.
+    Returns the progress, None if there is nothing to go on from (network, optimiser and random
+    numbers are untouched then), and what happened, to be shown; empty if there is no
+    checkpoint.
     """
     if not path.is_file():
         return None, ""

@@ -13,11 +13,7 @@ def classes_of(rows: list[dict[str, Any]], target: str) -> list[dict[str, Any]]:
     """The classes in manifest rows, in the order of their ids: ``{id, name | value}``.
 
     An interpolated video belongs to the class of its simulation, the nearest, and defines none.
-
-    Raises
-    ------
-    BadInput
-        If an id refers to two materials or coefficients.
+    BadInput if an id refers to two materials or coefficients.
     """
     key = "name" if target == "material" else "value"
     rows = [row for row in rows if target == "material" or not row.get("interpolated")]

@@ -30,21 +30,12 @@ TRUE = "true materials"
 
 @dataclass(frozen=True)
 class LrcnModel:
-    """A network with its weights, its card and, if it is conditional, its material network.
-
-    Attributes
-    ----------
-    network : LRCN
-    card : dict
-    material : LrcnModel, optional
-        Of a conditional network.
-    calibrated_view_alone : bool
-        Whether another network predicts for the other training views.
-    """
+    """A network with its weights, its card and, if it is conditional, its material network."""
 
     network: LRCN
     card: dict[str, Any]
-    material: "LrcnModel | None" = None
+    material: "LrcnModel | None" = None  # of a conditional network
+    # whether another network predicts for the other training views
     calibrated_view_alone: bool = False
 
     @property
@@ -115,16 +106,9 @@ def class_probabilities(
     bfloat16: bool = False,
     batch_size: int = 8,
 ) -> np.ndarray:
-    """Return the class probabilities of videos, float64 of shape (n, classes).
+    """Return the class probabilities (n, classes) of uint8 videos (n, frames, side, side, 3).
 
-    Parameters
-    ----------
-    network : LRCN
-    pixels : ndarray of uint8, shape (n, frames, side, side, 3)
-    condition : ndarray of int64, shape (n,), optional
-        Material class numbers for a conditional network.
-    bfloat16 : bool
-    batch_size : int
+    A conditional network is told the material class numbers (n,).
     """
     network.eval()
     parts = []
@@ -150,10 +134,7 @@ def save_model(network: LRCN, card: dict[str, Any], folder: str | os.PathLike) -
 def load_model(folder: str | os.PathLike) -> LrcnModel:
     """Read a network that `save_model` wrote.
 
-    Raises
-    ------
-    BadInput
-        If a file is missing, is of another kind, or is not as it was written.
+    BadInput if a file is missing, is of another kind, or is not as it was written.
     """
     weights, card_path = Path(folder) / WEIGHTS, Path(folder) / CARD
     tensors, card = read_weights(weights, card_path, FORMAT)

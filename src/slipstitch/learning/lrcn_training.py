@@ -41,26 +41,18 @@ PLATEAU_EPOCHS = 40  # after which a training that is still at chance is given u
 
 @dataclass
 class LrcnLearner(Learner):
-    """A network that tells classes, with the videos that it learns from.
-
-    Attributes
-    ----------
-    pixels : ndarray of uint8, shape (n, frames, side, side, 3)
-    labels : ndarray of int64, shape (n,)
-    condition : ndarray of int64, shape (n,), or None
-        Material class numbers that a conditional network is told.
-    viewpoints : ndarray of str, shape (n,)
-    """
+    """A network that tells classes, with the videos that it learns from."""
 
     name: str
     settings: TrainSettings
     network: LRCN
     phases: Sequence[Phase]
-    pixels: np.ndarray
-    labels: np.ndarray
+    pixels: np.ndarray  # (n, frames, side, side, 3) uint8
+    labels: np.ndarray  # (n,) int64
+    # (n,) int64: material class numbers that a conditional network is told
     condition: np.ndarray | None
     training: np.ndarray
-    viewpoints: np.ndarray
+    viewpoints: np.ndarray  # (n,)
 
     stage = "train"
 
@@ -140,12 +132,11 @@ def train_network(
     expected_classes: dict[str, list] | None = None,
     phases: list[Phase] | None = None,
 ) -> dict[str, Any]:
-    """Train one network and write it.
+    """Train one network and write it; return its card.
 
     Parameters
     ----------
-    settings : TrainSettings
-    run : Run
+    settings, run
     network_name : {"material_baseline", "friction_baseline", "friction_conditional"}
     view_order : sequence of str
         Training viewpoints by name; the first is the calibrated one.
@@ -156,11 +147,6 @@ def train_network(
         ``{"material": [names], "friction": [coefficients]}`` that the dataset must have.
     phases : list of Phase, optional
         Epochs by viewpoints; by default the `progressive_schedule`.
-
-    Returns
-    -------
-    dict
-        The model card.
 
     Raises
     ------

@@ -34,10 +34,7 @@ def read_weights(
 ) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
     """Tensors and card that `write_weights` wrote.
 
-    Raises
-    ------
-    BadInput
-        If a file is missing, is not of the format `form`, or is not as it was written.
+    BadInput if a file is missing, is not of the format `form`, or is not as it was written.
     """
     for path in (weights, card_path):
         if not path.is_file():

@@ -15,32 +15,19 @@ CYCLES_MAX = 8  # of epochs until the validation loss is flat
 
 @dataclass(frozen=True)
 class Phase:
-    """Epochs of the schedule with the same viewpoints.
-
-    Attributes
-    ----------
-    name : str
-    viewpoints : tuple of str
-    epochs : int
-    flat_epochs : int, optional
-        The phase ends earlier once its lowest validation loss is so many epochs old, if the network
-        has left chance.
-    """
+    """Epochs of the schedule with the same viewpoints."""
 
     name: str
     viewpoints: tuple[str, ...]
     epochs: int
+    # the phase ends earlier once its lowest validation loss is so many epochs old, if the network
+    # has left chance
     flat_epochs: int | None = None
 
     def length(self, rows: Sequence[Mapping[str, Any]], left_chance: float) -> int:
-        """Return how many epochs the phase has.
+        """Return how many epochs the phase has, from its history so far.
 
-        Parameters
-        ----------
-        rows : sequence of mapping
-            History from the start of the phase on.
-        left_chance : float
-            Training loss below which a network has left chance.
+        `left_chance` is the training loss below which a network has left chance.
         """
         lowest, age, least = math.inf, 0, math.inf
         for number, row in enumerate(rows[: self.epochs], 1):
@@ -97,15 +84,7 @@ def learning_rate(
 ) -> float:
     """Return Adadelta's rate: constant, down a cosine in the last cycle, then as at its end.
 
-    Parameters
-    ----------
-    settings : TrainSettings
-    phases : sequence of Phase
-        All of the training.
-    phase : Phase
-        The one at work.
-    done : float
-        Share of it that is done, 0 ... 1.
+    Of the phase at work, one of all `phases`, when so large a share of it is done, 0 ... 1.
     """
     last_cycle = [other for other in phases if other.name != FINE_TUNING][-1]
     if phase.name == FINE_TUNING:

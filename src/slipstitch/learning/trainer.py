@@ -42,35 +42,20 @@ class DivergedError(SlipstitchError):
 
 @dataclass(frozen=True)
 class Run:
-    """What every training is told.
+    """What every training is told."""
 
-    Attributes
-    ----------
-    dataset : path
-        Folder that the sample stage wrote.
-    split : str
-        One of `slipstitch.config.train.TRAINED_ON`.
-    seed : int
-        Of weights, order of the videos, augmentations and dropout.
-    out : path
-        Folder of the model, of ``history.csv`` and, until the training is finished, of
-        ``checkpoint.safetensors``.
-    frames : int, optional
-        Frames of a video that the network sees; by default all that the dataset has.
-    uses : callable, optional
-        Says of a manifest row whether its video may train or validate; by default all may.
-    threads : int
-    after_step : callable, optional
-        Called after every step with the progress; what it raises stops the training.
-    """
-
-    dataset: str | os.PathLike
-    split: str
-    seed: int
+    dataset: str | os.PathLike  # folder that the sample stage wrote
+    split: str  # one of `slipstitch.config.train.TRAINED_ON`
+    seed: int  # of weights, order of the videos, augmentations and dropout
+    # folder of the model, of ``history.csv`` and, until the training is finished, of
+    # ``checkpoint.safetensors``
     out: str | os.PathLike
+    # frames of a video that the network sees; by default all that the dataset has
     frames: int | None = None
+    # says of a manifest row whether its video may train or validate; by default all may
     uses: Callable[[dict[str, Any]], bool] | None = None
     threads: int = 1
+    # called after every step with the progress; what it raises stops the training
     after_step: Callable[[Progress], None] | None = None
 
     def videos(
@@ -78,17 +63,8 @@ class Run:
     ) -> tuple[Videos, np.ndarray]:
         """Return the videos that train or validate, and which of them train.
 
-        Parameters
-        ----------
-        pixels, frames
-            As for `slipstitch.dataset.videos.read_videos`.
-        viewpoints : sequence of str, optional
-            By default all.
-
-        Raises
-        ------
-        BadInput
-            If there is no such split, or the dataset is damaged or leaks.
+        `pixels` and `frames` as for `slipstitch.dataset.videos.read_videos`; all viewpoints by
+        default. BadInput if there is no such split, or the dataset is damaged or leaks.
         """
         if self.split not in TRAINED_ON:
             raise BadInput(f"unknown split {self.split!r}; known: {', '.join(TRAINED_ON)}")

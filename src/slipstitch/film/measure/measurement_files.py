@@ -164,19 +164,9 @@ def measured_pair(
     start_s: float | None = None,
     frame_rate_hz: float | None = None,
 ) -> MeasuredPair:
-    """Measure videos of one pair.
+    """Measure videos of one pair, at least one, each once; options as for `MeasuringBench.measure`.
 
-    Parameters
-    ----------
-    videos : sequence of path
-        At least one, each once.
-    start_s, frame_rate_hz : float, optional
-        As for `MeasuringBench.measure`.
-
-    Raises
-    ------
-    BadInput
-        If a video is given twice, or none could be measured: the first one's problem.
+    BadInput if a video is given twice, or none could be measured: the first one's problem.
     """
     names = names_of(videos)
     _refuse_copies(videos)
@@ -242,10 +232,7 @@ def _refuse_copies(videos: Sequence[Path]) -> None:
 def names_of(videos: Sequence[Path]) -> list[str]:
     """As much of each path, from its end, as tells the videos from one another.
 
-    Raises
-    ------
-    BadInput
-        If a video is given twice.
+    BadInput if a video is given twice.
     """
     files = [Path(video).resolve() for video in videos]
     for index, file in enumerate(files):

@@ -153,10 +153,7 @@ class MeasuringBench:
     ) -> MeasuredVideo:
         """Measure one video; start and frame rate as for `read_stage_video`.
 
-        Raises
-        ------
-        BadInput
-            If the video cannot be used, or does not show the protocol.
+        BadInput if the video cannot be used, or does not show the protocol.
         """
         video = read_stage_video(
             path,
@@ -204,21 +201,15 @@ def measuring_bench(
 
     Parameters
     ----------
-    camera : path
-        The camera file.
     model : path, optional
         The instrument's folder; by default the instrument that comes with Slipstitch.
     config : path, optional
         What the instrument was trained with; by default the nearest ``config.json`` above it.
-    threads : int
     force : bool
         Measure although the camera stands where the instrument was never tried; with an alarm.
 
-    Raises
-    ------
-    BadInput
-        If a file cannot be used, or the camera stands outside the poses of the training, or does
-        not see the track, or too coarsely.
+    BadInput if a file cannot be used, or the camera stands outside the poses of the training,
+    or does not see the track, or too coarsely.
     """
     bench = opened_bench(camera, model, config)
     if bench.outside and not force:

@@ -57,20 +57,12 @@ class Outputs(NamedTuple):
 
 @dataclass
 class Table:
-    """Predictions, and what they do not say of the models.
+    """Predictions, and what they do not say of the models."""
 
-    Attributes
-    ----------
-    rows : list of dict
-        As `scores.SCHEMA`.
-    models : dict
-        ``{trained_on: {network: {"classes": [...]} or {"seeds": [...]}}}``.
-    alarms : dict
-        ``{test set: {network: {seed: {kind of wrong input: share of alarms}}}}``.
-    """
-
-    rows: list[Row] = field(default_factory=list)
+    rows: list[Row] = field(default_factory=list)  # as `scores.SCHEMA`
+    # ``{trained_on: {network: {"classes": [...]} or {"seeds": [...]}}}``
     models: dict[str, dict[str, Any]] = field(default_factory=dict)
+    # ``{test set: {network: {seed: {kind of wrong input: share of alarms}}}}``
     alarms: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     def add(self, other: "Table", without: Iterable[str]) -> None:
@@ -90,16 +82,9 @@ def prediction_row(
     prediction: Prediction,
     classes: Sequence[Mapping[str, Any]],
 ) -> Row:
-    """Return what a row of predictions.parquet says of a video, and of a prediction for it.
+    """Return what predictions.parquet says of a video (row of the manifest) and its prediction.
 
-    Parameters
-    ----------
-    row : mapping
-        Of the manifest.
-    network : str
-    prediction : Prediction
-    classes : sequence of mapping
-        Coefficients that train; the nearest is the predicted class.
+    Of `classes`, the coefficients that train, the nearest is the predicted one.
     """
     fabrics = prediction.fabrics
     if predicts_material_alone(network):
@@ -133,18 +118,9 @@ def prediction_row(
 def predicted_table(
     dataset: str | os.PathLike, models: Mapping[Key, LrcnModel | Instrument]
 ) -> Table:
-    """Return the predictions of models on all their test sets.
+    """Return the predictions of models on all their test sets of a dataset.
 
-    Parameters
-    ----------
-    dataset : path
-        What the sample stage wrote.
-    models : mapping
-
-    Raises
-    ------
-    BadInput
-        If a model was trained on other data, or files are damaged.
+    BadInput if a model was trained on other data, or files are damaged.
     """
     manifest, _ = read_manifest(dataset)
     table = Table()
@@ -183,17 +159,10 @@ def predicted_table(
 
 
 def alarm_rates(instrument: Instrument, videos: Videos) -> dict[str, float]:
-    """Return shares of alarms on wrong inputs made from test videos, and on these themselves.
+    """Return shares of alarms on test videos, kind by kind of wrong input made from them.
 
-    Parameters
-    ----------
-    videos : Videos
-        All test videos of a split; those of other training viewpoints are wrong inputs too.
-
-    Returns
-    -------
-    dict
-        Kind -> share; ``good`` is the share of false alarms.
+    ``good`` is the share of false alarms. Videos of other training viewpoints are wrong inputs
+    too.
     """
     mine = np.array([row["viewpoint"] in instrument.card["viewpoints"] for row in videos.rows])
     own = instrument.frames_of(videos.chosen(mine))

@@ -22,33 +22,21 @@ STEP = 0.1
 
 @dataclass(frozen=True)
 class PredictionsAndTruth:
-    """Predictions of a trained model for n videos, with the true values; None where not predicted.
+    """Predictions of a trained model for n videos, and the truth; None where not predicted."""
 
-    Attributes
-    ----------
-    friction, reference : ndarray, shape (n,), optional
-        Predicted and true friction coefficients.
-    reference_error : ndarray, shape (n,), or float
-        The reference is an interval of this half width; 0 of simulated videos.
-    intervals : ndarray, shape (n, 2), optional
-        Of the prediction.
-    groups : sequence of str, length n, optional
-        Videos of one group are right or wrong together; by default each is its own.
-    alarms : ndarray of bool, shape (n,), optional
-    pair_errors, pair_agrees : ndarray, shape (p,), optional
-        Of each pair of captures: error of the median, whether the repeats are told equal.
-    fabric_rank : ndarray of int, shape (m,), optional
-        Place of the true fabric among the guesses, 0 the first, of videos whose fabric is known.
-    """
-
+    # (n,): predicted and true friction coefficients
     friction: np.ndarray | None = None
     reference: np.ndarray | None = None
+    # (n,): the reference is an interval of this half width; 0 of simulated videos
     reference_error: np.ndarray | float = 0.0
-    intervals: np.ndarray | None = None
+    intervals: np.ndarray | None = None  # (n, 2): of the prediction
+    # videos of one group are right or wrong together; by default each is its own
     groups: Sequence[str] | None = None
-    alarms: np.ndarray | None = None
+    alarms: np.ndarray | None = None  # (n,) bool
+    # (p,): of each pair of captures: error of the median, whether the repeats are told equal
     pair_errors: np.ndarray | None = None
     pair_agrees: np.ndarray | None = None
+    # (m,): place of the true fabric among the guesses, 0 the first, of videos whose fabric is known
     fabric_rank: np.ndarray | None = None
 
     @cached_property
@@ -75,37 +63,19 @@ class PredictionsAndTruth:
 
 @dataclass(frozen=True)
 class Metric:
-    """One row of the list.
+    """One row of the list."""
 
-    Attributes
-    ----------
-    name : str
-        Its key in metrics.json.
-    kind : {"friction", "capture", "fabric", "interval"}
-        What it is computed from; ``capture`` has what only captures have: references with errors
-        and pairs.
-    unit : {"%", "µ"}
-        Shares are 0 ... 1 in files and shown in %.
-    compute : callable
-        `PredictionsAndTruth` -> float.
-    heading : str
-        Of a column of a page.
-    tables : set of {TEST_SETS, CAPTURES}
-        Where it is shown. Those of TEST_SETS make up an entry of evaluate/metrics.json.
-    column : str
-        Of the terminal's table; empty where it is not in it.
-    title : str
-        In words, for a row of its own.
-    """
-
-    name: str
+    name: str  # its key in metrics.json
+    # what it is computed from; ``capture`` has what only captures have: references with errors and
+    # pairs
     kind: str
-    unit: str
-    compute: Callable[[PredictionsAndTruth], float]
-    heading: str
+    unit: str  # shares are 0 ... 1 in files and shown in %
+    compute: Callable[[PredictionsAndTruth], float]  # `PredictionsAndTruth` -> float
+    heading: str  # of a column of a page
+    # where it is shown. Those of TEST_SETS make up an entry of evaluate/metrics.json.
     tables: frozenset[str] | set[str]
-    column: str = ""
-    title: str = ""
+    column: str = ""  # of the terminal's table; empty where it is not in it
+    title: str = ""  # in words, for a row of its own
 
     def shown(self, scores: Mapping[str, Any], spread: Mapping[str, Any] | None = None) -> str:
         """Its mean ± spread over seeds, of entries that may lack it."""
@@ -195,16 +165,9 @@ def steps_off(predicted: ArrayLike, true: ArrayLike) -> np.ndarray:
 
 
 def friction_scores(predicted: np.ndarray, true: np.ndarray) -> dict[str, float]:
-    """Scores of predicted friction coefficients, on the grid or off it.
+    """Return ``friction_lt_0.1``, ``friction_lt_0.2`` (shares) and ``mean_absolute_error``.
 
-    Parameters
-    ----------
-    predicted, true : ndarray, shape (n,)
-
-    Returns
-    -------
-    dict
-        ``friction_lt_0.1``, ``friction_lt_0.2`` (shares in 0 ... 1), ``mean_absolute_error``.
+    Of predicted friction coefficients and the true ones, on the grid or off it.
     """
     return scores_of(PredictionsAndTruth(predicted, true), "friction")
 

@@ -52,14 +52,9 @@ CAPTURES = {
 
 
 def captures_cells(subset: str, names: Iterable[str]) -> list[tuple[float | None, int]]:
-    """The paper's figures for captures as cells of a row: (figure or None, columns that it spans).
+    """Return the paper's figures of some metrics: (figure or None, columns that the cell spans).
 
-    Parameters
-    ----------
-    subset : str
-        One of `CAPTURES`.
-    names : iterable of str
-        Metrics, a column each; neighbours without a figure share a cell.
+    Neighbours without a figure share a cell; `subset` is one of `CAPTURES`.
     """
     found: list[tuple[float | None, int]] = []
     for figure, same in groupby(CAPTURES[subset].get(name) for name in names):
@@ -69,13 +64,7 @@ def captures_cells(subset: str, names: Iterable[str]) -> list[tuple[float | None
 
 
 def cumulative_error(errors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distinct errors in increasing order, and the share of videos with at most that error.
-
-    Parameters
-    ----------
-    errors : ndarray, shape (n,)
-        Not negative.
-    """
+    """Distinct errors in increasing order, and the share of videos with at most that."""
     values, counts = np.unique(np.round(errors, 9), return_counts=True)
     return values, np.cumsum(counts) / len(errors)
 

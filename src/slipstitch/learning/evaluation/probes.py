@@ -70,13 +70,7 @@ def probe_features(
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Name of a probe -> what it sees of every video, and the sides by which it learns.
 
-    Parameters
-    ----------
-    dataset : path
-    videos : Videos
-        Two frames of each: the first and one in the middle.
-    sides : ndarray of str
-        Of the split.
+    Of videos of two frames, the first and one in the middle; `sides` are those of the split.
     """
     first, middle = videos.pixels[:, 0], videos.pixels[:, 1]
     untold = untold_features(videos.rows, first, _sizes(dataset, videos), sides)
@@ -99,27 +93,11 @@ def _sizes(dataset: str | os.PathLike, videos: Videos) -> np.ndarray:
 def probe_split(
     dataset: str | os.PathLike, videos: Videos, split: str
 ) -> Iterator[tuple[str, str, list[Row], list[Row]]]:
-    """Give the predictions of every probe in one split.
+    """Give the predictions of every probe in one split: split, network, classes, rows of the table.
 
-    Parameters
-    ----------
-    dataset : path
-    videos : Videos
-        Those that `is_probed` in the split, two frames of each, the first and one in the middle.
-    split : str
-        One of `slipstitch.config.train.TRAINED_ON`.
-
-    Yields
-    ------
-    split, network : str
-    classes : list of dict
-    rows : list of dict
-        What rows of predictions.parquet say of the test videos.
-
-    Raises
-    ------
-    BadInput
-        If a probe that must be at chance is not.
+    `videos` are those that `is_probed` in the split, two frames of each, the first and one in
+    the middle; the rows are what predictions.parquet says of the test videos. BadInput if a
+    probe that must be at chance is not.
     """
     sides = np.array([row[f"split_{split_of(split)}"] for row in videos.rows])
     classes = classes_of(videos.rows, "friction")

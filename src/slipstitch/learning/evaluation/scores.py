@@ -93,13 +93,7 @@ def grouped(rows: Iterable[Row], *keys: str) -> dict[Any, list[Row]]:
 
 
 def answers_of(rows: Sequence[Row]) -> PredictionsAndTruth:
-    """Return the predictions of one model as arrays.
-
-    Parameters
-    ----------
-    rows : sequence of dict
-        With columns of `SCHEMA`; of captures also ``reference_error``.
-    """
+    """Return rows of one model (`SCHEMA`; captures: also ``reference_error``) as arrays."""
     known = [row for row in rows if row["fabrics"] and row["material"] in row["fabrics"]]
     return PredictionsAndTruth(
         np.array([row["predicted_value"] for row in rows]),
@@ -147,12 +141,8 @@ def scores_by_seed(rows: Sequence[Row]) -> dict[str, dict[str, float]]:
 def metrics_of_table(rows: Sequence[Row], models: Mapping[str, Any]) -> dict[str, Any]:
     """Return the content of metrics.json: ``{test set: {model: {field: number or None}}}``.
 
-    Parameters
-    ----------
-    rows : sequence of dict
-        As `SCHEMA`.
-    models : mapping
-        ``{trained_on: {network: {"seeds": [...]}}}`` of averages.
+    Rows are those of `SCHEMA`; `models` is ``{trained_on: {network: {"seeds": [...]}}}`` of
+    averages.
     """
     metrics: dict[str, Any] = {}
     for test, of_test in grouped(rows, "split").items():
@@ -188,12 +178,8 @@ def details_of_table(
 ) -> dict[str, Any]:
     """Return the content of details.json but for the alarms on wrong inputs.
 
-    Parameters
-    ----------
-    rows, models
-        As for `metrics_of_table`; of every network but the instruments ``classes`` too.
-    manifest : mapping
-        Video -> row of the manifest.
+    As `metrics_of_table`; `models` has ``classes`` of every network but the instruments,
+    `manifest` the row of every video.
     """
     details: dict[str, Any] = {}
     for (test, network), part in grouped(rows, "split", "network").items():
@@ -255,12 +241,9 @@ def _of_classes(rows: list[Row], first: list[Row], classes: list[Row]) -> dict[s
 def breakdown(rows: Sequence[Row], manifest: Mapping[str, Row]) -> dict[str, dict[str, Row]]:
     """Return errors and coverage by fabric, coefficient, floor, texture, and pose of the camera.
 
-    Returns
-    -------
-    dict
-        Kind -> value -> ``n, simulations, mean_absolute_error, within_0_1, coverage_90``. Poses are
-        relative to the calibrated view: azimuth and elevation in degrees, rounded to fives and
-        fours, the distance beyond it in per cent, rounded to tens.
+    Kind -> value -> ``n, simulations, mean_absolute_error, within_0_1, coverage_90``. Poses are
+    relative to the calibrated view: azimuth and elevation in degrees, rounded to fives and
+    fours, the distance beyond it in per cent, rounded to tens.
     """
     kinds: dict[str, Callable[[Row], Any]] = {
         "material": lambda row: row["material"],
@@ -292,10 +275,7 @@ def breakdown(rows: Sequence[Row], manifest: Mapping[str, Row]) -> dict[str, dic
 def read_table(path: str | os.PathLike) -> tuple[list[Row], dict[str, Any]]:
     """Return the rows of predictions.parquet, and what its metadata say of models and scores.
 
-    Raises
-    ------
-    BadInput
-        If the file is missing, damaged, or of an earlier version, without the fabrics.
+    BadInput if the file is missing, damaged, or of an earlier version, without the fabrics.
     """
     notes = read_metadata(path)
     if "models" not in notes:
@@ -304,12 +284,6 @@ def read_table(path: str | os.PathLike) -> tuple[list[Row], dict[str, Any]]:
 
 
 def recomputed(path: str | os.PathLike) -> dict[str, Any]:
-    """Return the content that metrics.json must have, from predictions.parquet alone.
-
-    Raises
-    ------
-    BadInput
-        As `read_table`.
-    """
+    """Return the content that metrics.json must have, from predictions.parquet alone."""
     rows, notes = read_table(path)
     return metrics_of_table(rows, notes["models"])

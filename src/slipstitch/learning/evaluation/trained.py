@@ -29,27 +29,17 @@ Key = tuple[str, str, int | None]
 
 @dataclass(frozen=True)
 class Trained:
-    """Which models count.
+    """Which models count."""
 
-    Attributes
-    ----------
-    networks : path, optional
-        Folder ``{split}/{network}/seed{seed}/`` that the train stage wrote.
-    instruments : path, optional
-        Folder ``{split}/seed{seed}/``, ``{split}/ensemble/`` that the instrument stage wrote.
-    train : TrainSettings, optional
-        Which splits and seeds count; others, left by an earlier configuration, do not.
-    instrument_seeds : sequence of int, optional
-        Which seeds of instruments count.
-    shipped : path, optional
-        Folder of the instrument that comes with Slipstitch. No simulation of the dataset trained
-        it, so the test videos of every split are new to it.
-    """
-
+    # folder ``{split}/{network}/seed{seed}/`` that the train stage wrote
     networks: str | os.PathLike | None = None
+    # folder ``{split}/seed{seed}/``, ``{split}/ensemble/`` that the instrument stage wrote
     instruments: str | os.PathLike | None = None
+    # which splits and seeds count; others, left by an earlier configuration, do not
     train: TrainSettings | None = None
-    instrument_seeds: list[int] | None = None
+    instrument_seeds: list[int] | None = None  # which seeds of instruments count
+    # folder of the instrument that comes with Slipstitch. No simulation of the dataset trained it,
+    # so the test videos of every split are new to it.
     shipped: str | os.PathLike | None = None
 
     @property
@@ -97,11 +87,8 @@ class Trained:
     def load(self, without: frozenset[str] = frozenset()) -> dict[Key, LrcnModel | Instrument]:
         """Return the models but those of some kinds.
 
-        Raises
-        ------
-        BadInput
-            If there is no network where a folder of networks is given, a model is damaged or not
-            what its place says, or is not of those beside it with which it belongs.
+        BadInput if there is no network where a folder of networks is given, a model is damaged or
+        not what its place says, or is not of those beside it with which it belongs.
         """
         weights = self.weights()
         models: dict[Key, LrcnModel | Instrument] = {}

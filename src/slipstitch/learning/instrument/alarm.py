@@ -33,15 +33,9 @@ EXPLAINED = 0.9  # share of the variance that the principal components hold
 
 
 def thumbnails(videos: np.ndarray) -> np.ndarray:
-    """Videos as vectors: grey, averaged to thumbnails, mean and deviation of each video taken out.
+    """Videos (n, frames, side, side, 3) as float32 vectors (n, frames * 144).
 
-    Parameters
-    ----------
-    videos : ndarray of uint8, shape (n, frames, side, side, 3)
-
-    Returns
-    -------
-    ndarray of float32, shape (n, frames * 144)
+    Grey, averaged to thumbnails, mean and deviation of each video taken out.
     """
     n, frames, side = videos.shape[:3]
     edges = np.arange(THUMBNAIL + 1) * side // THUMBNAIL
@@ -58,31 +52,17 @@ def thumbnails(videos: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Alarm:
-    """Statistics of the training videos, and the thresholds of the alarm.
+    """Statistics of the training videos, and the thresholds of the alarm."""
 
-    Attributes
-    ----------
-    mean : ndarray, shape (frames * 144,)
-    components : ndarray, shape (K, frames * 144)
-    variances : ndarray, shape (K,)
-    embedding_mean : ndarray, shape (N * E,)
-        Of the embeddings of N networks, one after another.
-    embedding_whitening : ndarray, shape (N * E, E)
-        Each network's own, one below another.
-    centre, scale : ndarray, shape (4,)
-        Median and spread of each score on held-out videos.
-    threshold : float
-        Of the largest scaled score.
-    """
-
-    mean: np.ndarray
-    components: np.ndarray
-    variances: np.ndarray
-    embedding_mean: np.ndarray
-    embedding_whitening: np.ndarray
+    mean: np.ndarray  # (frames * 144,)
+    components: np.ndarray  # (K, frames * 144)
+    variances: np.ndarray  # (K,)
+    embedding_mean: np.ndarray  # (N * E,): of the embeddings of N networks, one after another
+    embedding_whitening: np.ndarray  # (N * E, E): each network's own, one below another
+    # (4,): median and spread of each score on held-out videos
     centre: np.ndarray
     scale: np.ndarray
-    threshold: float
+    threshold: float  # of the largest scaled score
 
     @property
     def statistics(self) -> tuple[np.ndarray, ...]:
@@ -98,12 +78,8 @@ class Alarm:
     def raw(self, videos: np.ndarray, embedding: np.ndarray, order: np.ndarray) -> np.ndarray:
         """The four scores of videos, float64 of shape (n, 4).
 
-        Parameters
-        ----------
-        videos : ndarray of uint8, shape (n, frames, side, side, 3)
-        embedding : ndarray, shape (n, N * E)
-        order : ndarray, shape (n,)
-            Logit of an ordinary video.
+        Of uint8 frames (n, frames, side, side, 3), embeddings (n, N * E) and logits (n,) of an
+        ordinary video.
         """
         away = thumbnails(videos) - self.mean
         inside = away @ self.components.T
@@ -157,19 +133,11 @@ def describe(
 def calibrated_alarm(
     parts: tuple[np.ndarray, ...], raw: np.ndarray, groups: Sequence[str], false_alarms: float
 ) -> Alarm:
-    """An alarm from what `describe` gave and the scores of held-out videos.
+    """An alarm from what `describe` gave and the scores (n, 4) of held-out videos.
 
-    With too few groups to promise the rate, the threshold is their largest score.
-
-    Parameters
-    ----------
-    parts : tuple of ndarray
-    raw : ndarray, shape (n, 4)
-        As `Alarm.raw` gives them, of an alarm that is `not_calibrated`.
-    groups : sequence of str, length n
-        The videos' simulations.
-    false_alarms : float
-        Share of such videos.
+    The scores are those of an alarm that is `not_calibrated`, the groups the videos'
+    simulations; `false_alarms` is the share of such videos. With too few groups to promise it,
+    the threshold is their largest score.
     """
     centre = np.median(raw, axis=0)
     scale = np.maximum(1.4826 * np.median(abs(raw - centre), axis=0), 1e-6)

@@ -16,15 +16,9 @@ EVERY = 4  # every so many rows and columns count in a video's mean and deviatio
 
 
 def standardised(videos: np.ndarray) -> Tensor:
-    """Colours minus the video's mean, over its deviation; so exposure and colour cast are gone.
+    """Colours of uint8 videos (n, frames, side, side, 3) minus their mean, over their deviation.
 
-    Parameters
-    ----------
-    videos : ndarray of uint8, shape (n, frames, side, side, 3)
-
-    Returns
-    -------
-    float32 tensor, same shape
+    So exposure and colour cast are gone.
     """
     some = videos[:, :, ::EVERY, ::EVERY].astype(np.float32)
     mean = some.mean((1, 2, 3), keepdims=True)
@@ -34,16 +28,11 @@ def standardised(videos: np.ndarray) -> Tensor:
 
 
 def rectified_with_errors(frame: np.ndarray, corners_px: np.ndarray, blur_px: float) -> np.ndarray:
-    """An image as a rectification gives it that puts the corners elsewhere; the border is repeated.
+    """A uint8 image (side, side, 3) as a rectification gives it that puts the corners elsewhere.
 
-    Parameters
-    ----------
-    frame : ndarray of uint8, shape (side, side, 3)
-    corners_px : ndarray, shape (3, 2)
-        How far, across and down, the upper left, upper right and lower left corner move; they make
-        the affine map. Rounded to 1/32 pixel.
-    blur_px : float
-        Standard deviation of a Gaussian blur before; 0: none.
+    `corners_px` (3, 2): how far, across and down, the upper left, upper right and lower left
+    corner move; rounded to 1/32 pixel. The border is repeated; a Gaussian of `blur_px` (0:
+    none) comes before.
     """
     last = frame.shape[1] - 1
     corners = np.array([[0, 0], [last, 0], [0, last]], np.float32)
@@ -56,20 +45,12 @@ def rectified_with_errors(frame: np.ndarray, corners_px: np.ndarray, blur_px: fl
 def augmented(
     videos: np.ndarray, settings: InstrumentSettings, generator: np.random.Generator
 ) -> Tensor:
-    """Standardised videos, rectified with errors, their colours in another order, and noisy.
+    """Standardised uint8 videos, rectified with errors, their colours in another order, and noisy.
 
-    The errors are those of a calibration, the blur that of another lens or film, the order of the
-    colours that of another lamp or dye; all frames of a video have the same. The noise is one
-    field of random numbers that moves on by a row from frame to frame, which costs a tenth of
-    drawing every pixel.
-
-    Parameters
-    ----------
-    videos : ndarray of uint8, shape (n, frames, side, side, 3)
-
-    Returns
-    -------
-    float32 tensor, same shape
+    The errors are those of a calibration, the blur that of another lens or film, the order of
+    the colours that of another lamp or dye; all frames of a video have the same. The noise is
+    one field of random numbers that moves on by a row from frame to frame, which costs a tenth
+    of drawing every pixel.
     """
     frames, side = videos.shape[1:3]
     reach = settings.rectification_error * side
@@ -93,16 +74,10 @@ def augmented(
 def phase_frames(
     count: int, total: int, frames: int, generator: np.random.Generator | None
 ) -> np.ndarray:
-    """Which `frames` of the `total` of each video are seen, at regular intervals; (count, frames).
+    """Which `frames` of the `total` of each of `count` videos are seen, at regular intervals.
 
-    Parameters
-    ----------
-    count : int
-        Videos.
-    total, frames : int
-        total >= frames.
-    generator : numpy Generator or None
-        Draws each video's phase within the first interval; without, all begin with the first frame.
+    A generator draws each video's phase within the first interval; without, all begin with the
+    first frame.
     """
     spare = -(-total // frames)  # phases that differ
     starts = np.zeros(count) if generator is None else generator.integers(spare, size=count) / spare
@@ -116,14 +91,10 @@ def phased(videos: np.ndarray, frames: int, generator: np.random.Generator | Non
 
 
 def disordered(video: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-    """A video whose frames do not follow one another as they should.
+    """A video (frames, ...) whose frames do not follow one another as they should.
 
     By chance: reversed; frozen at one frame; halves exchanged; shuffled; the first half at half
     speed, as from a stage that moves slower.
-
-    Parameters
-    ----------
-    video : ndarray, shape (frames, side, side, 3)
     """
     count = len(video)
     straight = np.arange(count)

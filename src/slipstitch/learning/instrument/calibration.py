@@ -47,23 +47,12 @@ ANSWERS_SCHEMA = pa.schema(
 
 @dataclass(frozen=True)
 class CalibrationAnswers:
-    """Uncalibrated answers on n videos that did not train.
+    """Uncalibrated answers on n videos that did not train."""
 
-    Attributes
-    ----------
-    rows : list of dict
-        ``video, simulation, material, friction`` of each.
-    probabilities : ndarray, shape (n, G)
-        On the grid of mu.
-    material_logits : ndarray, shape (n, M)
-    strangeness : ndarray, shape (n, 4)
-        Scores of the alarm, before they are scaled.
-    """
-
-    rows: list[dict[str, Any]]
-    probabilities: np.ndarray
-    material_logits: np.ndarray
-    strangeness: np.ndarray
+    rows: list[dict[str, Any]]  # ``video, simulation, material, friction`` of each
+    probabilities: np.ndarray  # (n, G): on the grid of mu
+    material_logits: np.ndarray  # (n, M)
+    strangeness: np.ndarray  # (n, 4): scores of the alarm, before they are scaled
 
     @property
     def groups(self) -> list[str]:
@@ -111,14 +100,7 @@ def answers_on(
 ) -> CalibrationAnswers:
     """Return what an instrument says of videos that are to calibrate it.
 
-    Parameters
-    ----------
-    instrument : Instrument
-    statistics : tuple of ndarray
-        Of the training videos, as `slipstitch.learning.instrument.alarm.describe` gives them.
-    videos : Videos
-    generator : numpy Generator
-        Of the augmentations.
+    `statistics` are those of the training videos (`alarm.describe`).
     """
     frames = phased(videos.pixels, instrument.card["frames"], None)
     answers = instrument.answers(frames, generator, poses_of(videos.rows))
@@ -133,19 +115,11 @@ def answers_on(
 def fitted_spread(
     probabilities: np.ndarray, grid: np.ndarray, truth: np.ndarray, groups: Sequence[str]
 ) -> float:
-    """Return the factor by which distributions spread about their medians score best.
+    """Return the factor by which distributions (n, G) spread about their medians score best.
 
-    The score is the continuous ranked probability score (Gneiting & Raftery 2007, eq. 20), as in
-    training: unlike the likelihood, it is not ruled by the few truths far from all modes.
-
-    Parameters
-    ----------
-    probabilities : ndarray, shape (n, G)
-    grid : ndarray, shape (G,)
-    truth : ndarray, shape (n,)
-        Values on the grid's scale.
-    groups : sequence of str, length n
-        Each counts once.
+    The score is the continuous ranked probability score (Gneiting & Raftery 2007, eq. 20), as
+    in training: unlike the likelihood, it is not ruled by the few truths far from all modes.
+    Each group counts once.
     """
     weights = _one_each(groups)
     points, truths = torch.from_numpy(grid), torch.from_numpy(np.asarray(truth, np.float64))
@@ -186,14 +160,7 @@ def _one_each(groups: Sequence[str]) -> np.ndarray:
 
 
 def calibrated(instrument: Instrument, videos: Videos, training: np.ndarray) -> Instrument:
-    """Return the instrument with error bars from the videos that did not train, if there are any.
-
-    Parameters
-    ----------
-    instrument : Instrument
-    videos : Videos
-    training : ndarray of bool, shape (n,)
-    """
+    """Return the instrument with error bars from the videos that did not train, if any did not."""
     if training.all():
         return instrument
     generator = np.random.default_rng(0)
@@ -210,12 +177,7 @@ def with_error_bars(
 ) -> Instrument:
     """Return the instrument with error bars from its answers on videos that did not train it.
 
-    Parameters
-    ----------
-    instrument : Instrument
-    statistics : tuple of ndarray
-        Of the training videos, as `slipstitch.learning.instrument.alarm.describe` gives them.
-    held : CalibrationAnswers
+    `statistics` are those of the training videos (`alarm.describe`).
     """
     groups, friction = held.groups, held.friction
     names = instrument.card["materials"]

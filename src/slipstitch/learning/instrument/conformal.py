@@ -14,26 +14,11 @@ from slipstitch.base.errors import BadInput
 
 
 def grouped_quantile(scores: np.ndarray, groups: Sequence[str], level: float) -> float:
-    """Quantile of the scores, each weighing 1 / (videos of its group), one group added at infinity.
+    """Smallest score with weight `level` at or below it; infinite where the groups are too few.
 
-    Parameters
-    ----------
-    scores : ndarray, shape (n,)
-    groups : sequence of str, length n
-        Group of each score.
-    level : float
-        In (0, 1).
-
-    Returns
-    -------
-    float
-        Smallest score with weight `level` at or below it; infinite where the groups are too few
-        to promise the level: fewer than level / (1 - level).
-
-    Raises
-    ------
-    BadInput
-        If there is no score, one is not a number, or scores and groups are not equally many.
+    Each score weighs 1 / (videos of its group), and one group is added at infinity: fewer
+    groups than level / (1 - level) cannot promise the level. BadInput without scores, with one
+    that is no number, or if scores and groups are not equally many.
     """
     scores = np.asarray(scores, np.float64)
     if not len(scores) or len(scores) != len(groups) or np.isnan(scores).any():

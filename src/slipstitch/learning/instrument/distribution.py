@@ -15,17 +15,9 @@ def friction_grid(largest: float) -> np.ndarray:
 
 
 def mixture_cumulative(parameters: Tensor, points: Tensor) -> Tensor:
-    """Cumulative distribution function of a mixture of normals.
+    """Cumulative distribution function (n, G) of mixtures of normals, at points (G,).
 
-    Parameters
-    ----------
-    parameters : tensor, shape (n, 3, M)
-        Logits of the weights; means; logarithms of the standard deviations.
-    points : tensor, shape (G,)
-
-    Returns
-    -------
-    tensor, shape (n, G)
+    Parameters (n, 3, M): logits of the weights; means; logarithms of the standard deviations.
     """
     weights = parameters[:, 0].softmax(-1)
     away = points[None, :, None] - parameters[:, 1, None]
@@ -58,21 +50,10 @@ def probabilities_on_grid(cumulative: np.ndarray) -> np.ndarray:
 
 
 def spread(probabilities: np.ndarray, grid: np.ndarray, factor: float) -> np.ndarray:
-    """Distributions with their distances from their medians multiplied; clipped to the grid.
+    """Distributions (n, G) with their distances from their medians multiplied; clipped to the grid.
 
-    Unlike a power of the probabilities (temperature scaling), it leaves the median where it is: a
-    power makes the small modes of a mixture as good as its large one.
-
-    Parameters
-    ----------
-    probabilities : ndarray, shape (n, G)
-    grid : ndarray, shape (G,)
-    factor : float
-        Positive.
-
-    Returns
-    -------
-    ndarray, shape (n, G)
+    Unlike a power of the probabilities (temperature scaling), it leaves the median where it is:
+    a power makes the small modes of a mixture as good as its large one.
     """
     edges, rising = _rising(probabilities, grid)
     medians = quantiles(probabilities, grid, np.array([0.5]))[:, 0]
@@ -92,20 +73,9 @@ def _rising(probabilities: np.ndarray, grid: np.ndarray) -> tuple[np.ndarray, np
 
 
 def quantiles(probabilities: np.ndarray, grid: np.ndarray, levels: np.ndarray) -> np.ndarray:
-    """Quantiles of distributions on a grid, linear within a point's cell.
+    """Quantiles (n, L) of distributions (n, G) on an even grid, linear within a point's cell.
 
-    Parameters
-    ----------
-    probabilities : ndarray, shape (n, G)
-    grid : ndarray, shape (G,)
-        Equally spaced.
-    levels : ndarray, shape (L,)
-        In (0, 1).
-
-    Returns
-    -------
-    ndarray, shape (n, L)
-        Within the grid's ends.
+    Within the grid's ends; levels are in (0, 1).
     """
     edges, rising = _rising(probabilities, grid)
     rows = [np.interp(levels, row, edges) for row in rising]

@@ -95,19 +95,16 @@ def combine_instruments(
     Parameters
     ----------
     members : sequence of path
-        Folders of instruments that differ in their seed alone.
-    dataset : path
-        Folder that the sample stage wrote, on which they were trained.
-    split : {"by_video", "by_simulation", "by_video_reflective"}
+        Folders of instruments that differ in their seed alone; if no video calibrated them, the
+        average has no error bars.
+    dataset, split
         On which they were trained; its validation videos calibrate.
     out_dir : path
         Gets ``instrument.safetensors``, ``instrument.json``, ``calibration.parquet``, what the
         average says of the videos that calibrate it, from which any other error bar can be fitted,
-        and ``readings.parquet``, what it reads of other benches. Members that no video calibrated
-        give an average without error bars.
+        and ``readings.parquet``, what it reads of other benches.
     further : sequence of path
         Datasets of other benches, of which all videos calibrate the intervals too.
-    threads : int
 
     Returns
     -------
@@ -179,31 +176,13 @@ def recalibrate_instrument(
 ) -> dict[str, Any]:
     """Stretch the intervals of an average by what it reads of other benches too, write it.
 
-    All else stays as it is: medians, spread, fabrics and alarm. With datasets alone the intervals
-    are those that `combine_instruments` gives with these, without its members and images.
+    All else stays as it is: medians, spread, fabrics and alarm. With datasets (`further`) alone
+    the intervals are those that `combine_instruments` gives with these, without members and
+    images; `files` have readings by this average (`readings.read_readings`). In the card that
+    is returned, ``recalibrated_from`` has the ``weights_sha256`` and the ``factor`` of before.
 
-    Parameters
-    ----------
-    folder : path
-        That `combine_instruments` wrote.
-    out_dir : path
-        Gets the same files.
-    further : sequence of path
-        Datasets of which all videos calibrate.
-    files : sequence of path
-        Readings by this average (`readings.read_readings`).
-    threads : int
-
-    Returns
-    -------
-    dict
-        The card; ``recalibrated_from`` has the ``weights_sha256`` and the ``factor`` of before.
-
-    Raises
-    ------
-    BadInput
-        If the instrument is no average or nothing has calibrated it, a file is damaged, or a
-        source calibrates it already or is of no use to calibrate it.
+    BadInput if the instrument is no average or nothing has calibrated it, a file is damaged, or
+    a source calibrates it already or is of no use to calibrate it.
     """
     started = start_clock()
     set_up_torch(threads)

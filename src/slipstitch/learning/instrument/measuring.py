@@ -60,22 +60,12 @@ class Answers:
 
 @dataclass(frozen=True)
 class ErrorBars:
-    """Calibration on held-out simulations.
+    """Calibration on held-out simulations."""
 
-    Attributes
-    ----------
-    spread : float
-        By which the distributions are spread about their medians.
-    material_temperature : float
-        By which the fabrics' logits are divided.
-    conformal_scale : float
-        By which the distribution's own half-intervals are multiplied; infinite: not enough
-        simulations to promise anything.
-    alarm : Alarm
-    """
-
-    spread: float
-    material_temperature: float
+    spread: float  # by which the distributions are spread about their medians
+    material_temperature: float  # by which the fabrics' logits are divided
+    # by which the distribution's own half-intervals are multiplied; infinite: not enough
+    # simulations to promise anything
     conformal_scale: float
     alarm: Alarm
 
@@ -86,15 +76,9 @@ class Instrument:
 
     Networks that differ only in their seed err in part independently: their mean errs less than
     one of them (deep ensembles: Lakshminarayanan, Pritzel & Blundell 2017, arXiv 1612.01474).
-
-    Attributes
-    ----------
-    networks : tuple of InstrumentNetwork
-        At least one; trained on the same videos with the same settings.
-    card : dict
-    error_bars : ErrorBars, optional
     """
 
+    # at least one; trained on the same videos with the same settings
     networks: tuple[InstrumentNetwork, ...]
     card: dict[str, Any]
     error_bars: ErrorBars | None
@@ -113,15 +97,10 @@ class Instrument:
     def answers(
         self, videos: np.ndarray, generator: np.random.Generator, poses: np.ndarray | None = None
     ) -> Answers:
-        """Uncalibrated answers.
+        """Uncalibrated answers for uint8 videos (n, frames, pixels, pixels, 3).
 
-        Parameters
-        ----------
-        videos : ndarray of uint8, shape (n, frames, pixels, pixels, 3)
-        generator : numpy Generator
-            Of the augmentations.
-        poses : ndarray, shape (n, 4), optional
-            How the cameras stand (`slipstitch.images.camera.POSE`); as calibrated by default.
+        The generator is that of the augmentations; poses (n, 4) say how the cameras stand
+        (`slipstitch.images.camera.POSE`), as calibrated by default.
         """
         for network in self.networks:
             network.eval()
@@ -344,17 +323,9 @@ class _Card(BaseModel):
 
 
 def load_instrument(path: str | os.PathLike) -> Instrument:
-    """Read an instrument that `save_instrument` wrote.
+    """Read an instrument that `save_instrument` wrote: its folder, or one of the two files in it.
 
-    Parameters
-    ----------
-    path : path
-        Its folder, or one of the two files in it.
-
-    Raises
-    ------
-    BadInput
-        If a file is missing, is of another kind, or is not as it was written.
+    BadInput if a file is missing, is of another kind, or is not as it was written.
     """
     given = Path(path)
     folder = given.parent if given.name in (WEIGHTS, CARD) else given

@@ -65,18 +65,8 @@ def shifted_in_time(maps: Tensor, frames: int) -> Tensor:
 class InstrumentNetwork(nn.Module):
     """Mixture of mu, material logits, order logit, attention weights of the frames.
 
-    Parameters
-    ----------
-    settings : InstrumentSettings
-    materials : int
-        Number of fabrics that it tells apart.
-    pixels : int
-        Side of the frames.
-
-    Raises
-    ------
-    BadInput
-        If the frames are too small for the convolutions.
+    Tells so many materials apart, from frames of so many pixels a side; BadInput if these are
+    too few for the convolutions.
     """
 
     grid: Tensor
@@ -200,17 +190,9 @@ class InstrumentNetwork(nn.Module):
         return self.points_mean_m + self.points_spread_m * points
 
     def of_keypoints(self, points: Tensor) -> dict[str, Tensor]:
-        """Answers from places of the cloth's points, for a network that goes through them.
+        """Answers from places of points (videos, frames, points, 3) in the network's unit.
 
-        Parameters
-        ----------
-        points : float32 tensor, shape (videos, frames, points, 3)
-            In the network's unit, as `forward` returns them.
-
-        Raises
-        ------
-        ValueError
-            If the network does not go through points.
+        Of a network that goes through points; ValueError of another.
         """
         if self.of_points is None:
             raise ValueError("the network does not go through points")

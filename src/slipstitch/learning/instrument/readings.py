@@ -42,15 +42,9 @@ READINGS_SCHEMA = pa.schema(
 
 @dataclass(frozen=True)
 class CalibrationReadings:
-    """Readings with the conformal scales at which their intervals just hold.
+    """Readings with the conformal scales at which their intervals just hold."""
 
-    Attributes
-    ----------
-    rows : list of dict
-        As `READINGS_SCHEMA`.
-    """
-
-    rows: list[dict[str, Any]]
+    rows: list[dict[str, Any]]  # as `READINGS_SCHEMA`
 
     @property
     def groups(self) -> list[str]:
@@ -109,21 +103,14 @@ def readings_on(instrument: Instrument, videos: Videos) -> CalibrationReadings:
 def read_readings(path: str | os.PathLike, instrument: Instrument) -> CalibrationReadings:
     """Return the readings by an instrument that a JSON file lists, as those of studies do.
 
-    Parameters
-    ----------
-    path : path
-        A mapping with ``readings``: a list of mappings with at least the `COLUMNS`. Where one has
-        a ``seed`` that is not null, a single training made it, and it is left out. The file's
-        record, or its entry ``weights_sha256``, names the weights of the instrument; its entry
-        ``dataset``, if there is one, is the digest of the dataset that was read.
-    instrument : Instrument
+    The file is a mapping with ``readings``: a list of mappings with at least the `COLUMNS`.
+    Where one has a ``seed`` that is not null, a single training made it, and it is left out.
+    The file's record, or its entry ``weights_sha256``, names the weights of the instrument; its
+    entry ``dataset``, if there is one, is the digest of the dataset that was read.
 
-    Raises
-    ------
-    BadInput
-        If the file is missing, damaged, without such a list, or of another instrument, or of one
-        without an error bar; if a reading is no number, outside of its interval, or of a
-        coefficient that the instrument cannot say.
+    BadInput if the file is missing, damaged, without such a list, or of another instrument, or
+    of one without an error bar; if a reading is no number, outside of its interval, or of a
+    coefficient that the instrument cannot say.
     """
     content = read_json(path)
     rows = content.get("readings") if isinstance(content, dict) else None

@@ -113,16 +113,9 @@ def losses(
 ) -> dict[str, Tensor]:
     """Mean losses of a batch whose last videos are in disorder.
 
-    Parameters
-    ----------
-    views : float tensor, shape (n, frames, side, side, 3)
-    friction, material : tensor, shape (m,)
-        Of the first m videos; the rest is in disorder and has none.
-    ordered : float tensor, shape (n,)
-        1 for the first m videos, else 0. Both kinds weigh the same.
-    poses : float tensor, shape (n, 4), optional
-    points : float tensor, shape (m, frames, points, 3), optional
-        Places of points in the network's unit, where it learns them.
+    Of views (n, frames, side, side, 3), the first m have friction and material (m,), and places
+    of points (m, frames, points, 3) in the network's unit where it learns them; `ordered` (n,)
+    is 1 for these, else 0. Both kinds weigh the same.
 
     Returns
     -------
@@ -161,17 +154,10 @@ def learning_rate(settings: InstrumentSettings, done: float) -> float:
 def training_views(
     pixels: np.ndarray, frames: int, settings: InstrumentSettings, generator: np.random.Generator
 ) -> tuple[Tensor, Tensor, np.ndarray, np.ndarray]:
-    """Augmented videos at random phase, then some of them in disorder.
+    """Augmented videos at random phase, then some of them in disorder: n views of m videos.
 
-    Returns
-    -------
-    views : float32 tensor, shape (n, frames, side, side, 3)
-    ordered : float tensor, shape (n,)
-        1 for those in order.
-    shown : ndarray of int, shape (n,)
-        For every view, the number of the video that it shows.
-    places : ndarray of int, shape (len(pixels), frames)
-        The frames that those in order show.
+    Returns the views (n, frames, side, side, 3), 1 for those in order, else 0 (n,), the number
+    of the video that each shows (n,), and the frames that those in order show (m, frames).
     """
     places = phase_frames(len(pixels), pixels.shape[1], frames, generator)
     videos = pixels[np.arange(len(pixels))[:, None], places]
@@ -185,35 +171,20 @@ def training_views(
 
 @dataclass
 class InstrumentLearner(Learner):
-    """The instrument's network with the videos that it learns from.
-
-    Attributes
-    ----------
-    rows : sequence of dict
-        Of the manifest.
-    pixels : ndarray of uint8, shape (n, stored frames, side, side, 3)
-    frames : int
-        That the network sees of them.
-    friction : float tensor, shape (n,)
-    labels : int64 tensor, shape (n,)
-        Class numbers of the fabrics; `UNKNOWN` for one that does not train.
-    poses : float tensor, shape (n, 4)
-        Of the cameras, scaled.
-    points : float tensor, shape (n, stored frames, points, 3), optional
-        Their places in the network's unit, where it learns them.
-    """
+    """The instrument's network with the videos that it learns from."""
 
     name: str
     settings: InstrumentSettings
     network: InstrumentNetwork
     phases: Sequence[Phase]
-    rows: Sequence[dict[str, Any]]
-    pixels: np.ndarray
-    frames: int
-    friction: Tensor
-    labels: Tensor
+    rows: Sequence[dict[str, Any]]  # of the manifest
+    pixels: np.ndarray  # (n, stored frames, side, side, 3) uint8
+    frames: int  # that the network sees of them
+    friction: Tensor  # (n,)
+    labels: Tensor  # (n,): class numbers of the fabrics; `UNKNOWN` for one that does not train
     training: np.ndarray
-    poses: Tensor
+    poses: Tensor  # (n, 4): of the cameras, scaled
+    # (n, stored frames, points, 3): their places in the network's unit, where it learns them
     points: Tensor | None = None
 
     stage = "instrument"
@@ -318,21 +289,11 @@ class InstrumentLearner(Learner):
 def train_instrument(
     settings: InstrumentSettings, run: Run, viewpoints: Sequence[str]
 ) -> dict[str, Any]:
-    """Train, calibrate and write an instrument.
+    """Train, calibrate and write an instrument; return its card.
 
-    Parameters
-    ----------
-    settings : InstrumentSettings
-    run : Run
-        The validation videos calibrate the error bars and the alarm. Where the dataset has more
-        than `run.frames` frames, they are seen at a random phase in training.
-    viewpoints : sequence of str
-        Names of those that it learns from, all seen in the calibrated view.
-
-    Returns
-    -------
-    dict
-        The card.
+    The validation videos calibrate the error bars and the alarm. Where the dataset has more
+    than `run.frames` frames, they are seen at a random phase in training. All viewpoints are
+    seen in the calibrated view.
 
     Raises
     ------
