@@ -32,7 +32,7 @@ from slipstitch.base.provenance import (
     write_parquet,
 )
 from slipstitch.cli.main import main
-from slipstitch.film.board_views import _frames
+from slipstitch.film.board import _frames
 from slipstitch.film.recording import Recording
 from slipstitch.learning.lrcn_model import load_model
 

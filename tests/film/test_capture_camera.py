@@ -13,10 +13,8 @@ from support.refusal import refused
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import read_sidecar
 from slipstitch.cli.main import main
-from slipstitch.film.board import Board, Sighting
-from slipstitch.film.board_views import BoardView, read_views
-from slipstitch.film.calibration_files import draw_residuals
-from slipstitch.film.camera_calibration import FloorPlace
+from slipstitch.film.board import Board, BoardView, Sighting, read_views
+from slipstitch.film.camera_calibration import FloorPlace, draw_residuals
 from slipstitch.images.calibrated_view import cloth_room, crop_to
 from slipstitch.images.camera_file import read_camera_file
 from slipstitch.images.rectification import rectify, stage_plane
@@ -178,21 +176,26 @@ def test_a_mistaken_view_is_left_out_and_named(work, tmp_path, capsys):
     check_recovered(tmp_path / "camera.json")
 
 
-def _no_board(folder):
+def drawn(name, image):
+    """Replaces an image of the bench by another."""
+    return lambda folder: cv2.imwrite(str(folder / name), image(folder))
+
+
+def black(_):
+    return np.zeros((*bench.SIZE[::-1], 3), np.uint8)
+
+
+def no_board(folder):
     for path in folder.glob("view*.png"):
-        cv2.imwrite(str(path), np.full((*bench.SIZE[::-1], 3), 90, np.uint8))
+        cv2.imwrite(str(path), black(folder))
 
 
-def _no_image(folder):
-    (folder / "view2.png").write_text("no image")
-
-
-def _too_few(folder):
+def too_few(folder):
     for k in range(4, VIEWS):
         (folder / f"view{k}.png").unlink()
 
 
-def _alike(folder):
+def alike(folder):
     # The board flat in front of the camera, moved sideways only.
     image = np.pad(bench.board_image()[::2, ::2], ((40, 80), (60, 180)), constant_values=0.7)
     image = cv2.GaussianBlur(np.rint(255 * image).astype(np.uint8), (5, 5), 1)
@@ -201,36 +204,35 @@ def _alike(folder):
         cv2.imwrite(str(folder / f"view{k}.png"), cv2.resize(moved, bench.SIZE))
 
 
-def _another_size(folder):
-    image = cv2.imread(str(folder / "view1.png"))
-    cv2.imwrite(str(folder / "view1.png"), cv2.resize(image, (600, 450)))
+def smaller(folder):
+    return cv2.resize(cv2.imread(str(folder / "view1.png")), (600, 450))
 
 
-def _bare_floor(folder):
-    cv2.imwrite(str(folder / "floor.png"), np.zeros((*bench.SIZE[::-1], 3), np.uint8))
+def no_image(folder):
+    (folder / "view2.png").write_text("no image")
 
 
-def _fine(folder):
+def fine(folder):
     pass
 
 
 @pytest.mark.parametrize(
     ("damage", "words", "message"),
     [
-        (_no_board, [], "no checkerboard of 10x7 squares in any of 9 image(s)"),
-        (_no_image, [], "view2.png: not an image"),
-        (_too_few, [], "the board was found in only 4 usable view(s); at least 5 are required"),
-        (_alike, [], "views are too similar"),
-        (_another_size, [], "all images of a camera must have the same size"),
-        (_bare_floor, [], "floor.png: no board found in it"),
-        (_fine, ["--squares", "9x7"], "one odd and one even number"),
-        (_fine, ["--squares", "board"], "must be width x height, at least 4x4"),
-        (_fine, ["--squares", "9" * 5000 + "x10"], "at most 100x100"),
-        (_fine, ["--square-mm", "inf"], "--square-mm: inf; must be greater than 0.1 and at most"),
-        (_fine, ["--place-mm", "nan", "0"], "--place-mm: nan; must be from -10000 to 10000"),
-        (_fine, ["--angle-deg", "nan"], "--angle-deg: nan; must be from -360 to 360"),
-        (_fine, ["--board", "charuco"], "required for a ChArUco board, smaller than its squares"),
-        (_fine, ["--stage-view", "none.png"], "none.png: no such file"),
+        (no_board, [], "no checkerboard of 10x7 squares in any of 9 image(s)"),
+        (no_image, [], "view2.png: not an image"),
+        (too_few, [], "the board was found in only 4 usable view(s); at least 5 are required"),
+        (alike, [], "views are too similar"),
+        (drawn("view1.png", smaller), [], "all images of a camera must have the same size"),
+        (drawn("floor.png", black), [], "floor.png: no board found in it"),
+        (fine, ["--squares", "9x7"], "one odd and one even number"),
+        (fine, ["--squares", "board"], "must be width x height, at least 4x4"),
+        (fine, ["--squares", "9" * 5000 + "x10"], "at most 100x100"),
+        (fine, ["--square-mm", "inf"], "--square-mm: inf; must be greater than 0.1 and at most"),
+        (fine, ["--place-mm", "nan", "0"], "--place-mm: nan; must be from -10000 to 10000"),
+        (fine, ["--angle-deg", "nan"], "--angle-deg: nan; must be from -360 to 360"),
+        (fine, ["--board", "charuco"], "required for a ChArUco board, smaller than its squares"),
+        (fine, ["--stage-view", "none.png"], "none.png: no such file"),
     ],
 )
 def test_bad_input_is_one_clear_line(work, tmp_path, capsys, damage, words, message):

@@ -9,8 +9,7 @@ import pytest
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance.files import read_json
 from slipstitch.cli.main import main
-from slipstitch.film.board import Board
-from slipstitch.film.board_views import read_views
+from slipstitch.film.board import Board, read_views
 from slipstitch.film.measure import EXAMPLE_CAMERA
 from slipstitch.images.camera_file import read_camera_file, read_foreign_lens
 

@@ -86,8 +86,7 @@ def capture() -> None:
 @option("--picture", type=PICTURE, help="the residuals (PNG or SVG)")
 def camera(arguments: Arguments) -> None:
     """Calibrate, write the camera file and the picture, print the result in one line."""
-    from slipstitch.film.calibration_files import camera_to_file
-    from slipstitch.film.camera_calibration import FloorPlace
+    from slipstitch.film.camera_calibration import FloorPlace, camera_to_file
 
     for name, most in (("place_mm", 10_000), ("angle_deg", 360), ("thickness_mm", 1000)):
         value = getattr(arguments, name)
@@ -222,7 +221,7 @@ def ingest(arguments: Arguments) -> None:
 @option("--picture", type=PICTURE, help="PNG or SVG")
 def reference(arguments: Arguments) -> None:
     """Estimate, write, print one line per pair."""
-    from slipstitch.film.reference_files import reference_to_files
+    from slipstitch.film.slip_angles import reference_to_files
 
     for pair in reference_to_files(
         arguments.table, arguments.out, arguments.json, arguments.picture

@@ -14,14 +14,21 @@ Student's. With 3 to 7 degrees of freedom, and a bound of 0 to 8 standard errors
 94.4 to 95.9 %; the effective degrees of freedom of JCGM 100:2008 (GUM, G.4) 93.8 to 99.4 %.
 """
 
-import os
 from collections import defaultdict
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
 
+import matplotlib
 import numpy as np
+import pandas
+from matplotlib.figure import Figure
 from scipy import optimize, stats
 
 from slipstitch.base.errors import BadInput
+from slipstitch.base.page.figures import FIXED_IDS, plain_text, save_figure
+from slipstitch.base.page.palette import BLACK, INTERVAL, SERIES
+from slipstitch.base.provenance import provenance_record, recorded_path, start_clock, write_json
 from slipstitch.base.tables import in_radians
 from slipstitch.film.csv_table import TableColumn, name, number, read_table, whole_number
 
@@ -43,7 +50,7 @@ class SlipAngles:
     bench_error_rad: float  # the largest error of the bench's angle, the same in all measurements
 
 
-def read_angles(path: str | os.PathLike) -> list[SlipAngles]:
+def read_angles(path: str | Path) -> list[SlipAngles]:
     """Slip angles by pair, in the order of the table.
 
     BadInput if a cell is wrong, a measurement is there twice, or a pair has two bench errors.
@@ -138,10 +145,7 @@ def estimate(angles: SlipAngles) -> Reference:
     # The first column is the plain mean of the orientations.
     design = np.column_stack([np.ones(len(values)), orientations[:, 1:] - orientations[:, :1]])
     mixed = _Mixed(values, design, positions)
-    try:
-        mu, standard_error, dof = mixed.mean()
-    except BadInput as problem:
-        raise BadInput(f"{where}: {problem}") from None
+    mu, standard_error, dof = mixed.mean(where)
     bench = (1 + mu**2) * angles.bench_error_rad
     student = float(stats.t.ppf((1 + COVERAGE) / 2, dof)) * standard_error
     error = np.hypot(student, COVERAGE * bench)
@@ -248,7 +252,7 @@ class _Mixed:
     def repeat_sd(self) -> float:
         return float(np.sqrt(self.sigma2))
 
-    def mean(self) -> tuple[float, float, float]:
+    def mean(self, where: str) -> tuple[float, float, float]:
         """The mean, its standard error, and Satterthwaite's degrees of freedom."""
         covariance = self.sigma2 * self.identity + self.tau2 * self.shared
         inverse = np.linalg.inv(covariance)
@@ -265,8 +269,84 @@ class _Mixed:
         # Also where it is no number: repeats that are equal leave no scatter to compare with.
         if not np.isfinite(known).all() or np.linalg.cond(known) > _LARGEST_CONDITION:
             raise BadInput(
-                "the effects of positions, orientations and repeats cannot be separated: measure "
-                "every orientation at several positions, with independent repeats"
+                f"{where}: the effects of positions, orientations and repeats cannot be separated: "
+                "measure every orientation at several positions, with independent repeats"
             )
         scatter = float(moves @ np.linalg.solve(known, moves))
         return mu, float(np.sqrt(variance)), 2 * variance**2 / scatter
+
+
+# Black is the estimate.
+_COLOURS = tuple(colour for colour in SERIES if colour != BLACK)
+
+COLUMNS = (
+    *("material", "substrate", "mu", "error", "standard_error", "position_sd", "bench_error"),
+    *("positions", "orientations", "measurements", "position_p", "orientation_p"),
+)
+
+
+def reference_to_files(
+    table: Path, out: Path, details: Path | None, picture: Path | None
+) -> list[Reference]:
+    """Estimate every pair of a table of slip angles; write a CSV, and JSON and picture if asked."""
+    started = start_clock()
+    found = [(angles, estimate(angles)) for angles in read_angles(table)]
+    references = [pair for _, pair in found]
+    record = provenance_record("capture", inputs=[table], started=started)
+    rows = [
+        asdict(pair)
+        | {"positions": len(pair.by_position), "orientations": len(pair.by_orientation)}
+        for pair in references
+    ]
+    with recorded_path(out, record) as temporary:
+        content = pandas.DataFrame(rows, columns=list(COLUMNS))
+        content.to_csv(temporary, index=False, float_format="%.6g")
+    if details:
+        write_json(details, [asdict(pair) for pair in references], record)
+    if picture:
+        with recorded_path(picture, record) as temporary:
+            draw_references(found, temporary, picture.suffix[1:])
+    return references
+
+
+def draw_references(
+    measured: Sequence[tuple[SlipAngles, Reference]], path: str | Path, kind: str
+) -> None:
+    """Draw every slip angle, and the interval of each pair, as PNG or SVG."""
+    names = sorted({name for angles, _ in measured for name in angles.orientation})
+    colour = {name: _COLOURS[k % len(_COLOURS)] for k, name in enumerate(names)}
+    with matplotlib.rc_context(FIXED_IDS | {"font.size": 9}):
+        figure = Figure(figsize=(7.5, 1.1 + 0.75 * len(measured)), layout="constrained")
+        axes = figure.subplots()
+        for row, (angles, reference) in enumerate(measured):
+            places = sorted(set(angles.position))
+            offset = {name: 0.16 + 0.5 * k / max(len(places), 2) for k, name in enumerate(places)}
+            band = [(height + 0.4) / (len(measured) + 0.2) for height in (row - 0.15, row + 0.75)]
+            ends = reference.mu - reference.error, reference.mu + reference.error
+            axes.axvspan(*ends, *(1 - share for share in band[::-1]), color=INTERVAL)
+            axes.plot([reference.mu], [row], "D", color="black", markersize=4, zorder=3)
+            for position, orientation, friction in zip(
+                angles.position, angles.orientation, np.tan(angles.angle_rad), strict=True
+            ):
+                height = row + offset[position]
+                axes.plot([friction], [height], "o", ms=3.5, alpha=0.75, color=colour[orientation])
+            axes.errorbar(
+                [reference.mu], [row], xerr=[reference.error], color="black", capsize=3, lw=1.2
+            )
+        axes.set_yticks(
+            range(len(measured)),
+            [plain_text(f"{angles.material}\non {angles.substrate}") for angles, _ in measured],
+        )
+        axes.set_ylim(len(measured) - 0.2, -0.4)
+        axes.set_xlabel("friction coefficient (tan of the slip angle)")
+        axes.spines[["top", "right"]].set_visible(False)
+        handles = [axes.plot([], [], "o", ms=4, color=colour[name])[0] for name in names]
+        labels = [plain_text(f"orientation {name}") for name in names]
+        axes.legend(handles, labels, frameon=False, fontsize=8, loc="best")
+        axes.set_title(
+            "Black: estimate with 95 % interval, including the bench's error; dots: slip angles, "
+            "one line per position",
+            fontsize=9,
+            loc="left",
+        )
+        save_figure(figure, path, kind)

@@ -39,9 +39,9 @@ STAGES: dict[str, tuple[str, ...]] = {
     "report": ("report.page",),
     "publish": ("report.publishing",),
     "capture": (
-        "film.calibration_files",
+        "film.camera_calibration",
         "film.ingest_videos",
-        "film.reference_files",
+        "film.slip_angles",
         "film.surrogates",
     ),
     "measure": ("film.measure",),

@@ -13,7 +13,7 @@ EXAMPLE_VIDEO = EXAMPLE_FOLDER / "film.mp4"
 EXAMPLE_CAMERA = EXAMPLE_FOLDER / "camera.json"
 
 
-def truth_of(video: str | os.PathLike) -> dict[str, Any] | None:
+def truth_of(video: str | Path) -> dict[str, Any] | None:
     """What is known of the example: fabric, substrate, friction; None of any other video."""
     if Path(video) != EXAMPLE_VIDEO:
         return None

@@ -1,6 +1,5 @@
 """What a camera sees of the track, and its pose in the training range of an instrument."""
 
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -48,9 +47,7 @@ class CameraCheck:
 
 
 def check_camera(
-    camera: str | os.PathLike,
-    model: str | os.PathLike | None = None,
-    config: str | os.PathLike | None = None,
+    camera: str | Path, model: str | Path | None = None, config: str | Path | None = None
 ) -> CameraCheck:
     """Compare a camera's place with an instrument's training poses, its view with the track.
 

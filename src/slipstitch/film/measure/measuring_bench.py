@@ -1,7 +1,6 @@
 """Measurement of videos: results of the instrument and its input frames."""
 
 import math
-import os
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -145,11 +144,7 @@ class MeasuringBench:
         return (*self.instrument.caveats, *filter(None, [beyond]))
 
     def measure(
-        self,
-        path: str | os.PathLike,
-        *,
-        start_s: float | None = None,
-        frame_rate_hz: float | None = None,
+        self, path: str | Path, *, start_s: float | None = None, frame_rate_hz: float | None = None
     ) -> MeasuredVideo:
         """Measure one video; start and frame rate as for `read_stage_video`.
 
@@ -191,9 +186,9 @@ class MeasuringBench:
 
 
 def measuring_bench(
-    camera: str | os.PathLike,
-    model: str | os.PathLike | None = None,
-    config: str | os.PathLike | None = None,
+    camera: str | Path,
+    model: str | Path | None = None,
+    config: str | Path | None = None,
     threads: int = 2,
     force: bool = False,
 ) -> MeasuringBench:
@@ -229,7 +224,7 @@ def measuring_bench(
 
 
 def opened_bench(
-    camera: str | os.PathLike, model: str | os.PathLike | None, config: str | os.PathLike | None
+    camera: str | Path, model: str | Path | None, config: str | Path | None
 ) -> MeasuringBench:
     """Read what `measuring_bench` reads, wherever the camera stands."""
     lens, model = read_camera_file(camera), model or SHIPPED
@@ -270,7 +265,7 @@ def shipped_for(config: Config) -> Path | None:
     return SHIPPED if alike else None
 
 
-def _config_of(model: str | os.PathLike, given: str | os.PathLike | None) -> Path:
+def _config_of(model: str | Path, given: str | Path | None) -> Path:
     if given is not None:
         return Path(given)
     folder = Path(model).resolve()
