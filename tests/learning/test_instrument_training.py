@@ -80,36 +80,33 @@ def tests(dataset):
     return videos, phased(videos.pixels, 6, None)
 
 
-def test_it_measures_new_simulations(folder, tests):
+def errors_of(instrument, videos, frames):
+    """Absolute errors of the measurements, and the mean one of the best constant answer."""
+    truth = np.array([row["friction"] for row in videos.rows])
+    found = np.array([instrument.measure(one).friction_coefficient for one in frames])
+    return abs(found - truth), abs(truth - np.median(truth)).mean()
+
+
+def test_it_measures_new_simulations_and_raises_its_alarm_for_other_videos(folder, tests):
     videos, frames = tests
     instrument = load_instrument(folder)
-    truth = np.array([row["friction"] for row in videos.rows])
+    errors, constant = errors_of(instrument, videos, frames)
+    assert errors.mean() < 0.5 * constant
     measured = [instrument.measure(one) for one in frames]
-    errors = [abs(one.friction_coefficient - mu) for one, mu in zip(measured, truth, strict=True)]
-    assert np.mean(errors) < 0.5 * abs(truth - np.median(truth)).mean()
-    inside = [
-        one.interval_90[0] <= mu <= one.interval_90[1]
-        for one, mu in zip(measured, truth, strict=True)
-    ]
-    assert np.mean(inside) > 0.7
-    assert np.mean([np.diff(one.interval_90)[0] for one in measured]) < 0.7
-    fabric = [
-        max(one.material_probabilities, key=one.material_probabilities.get) for one in measured
-    ]
-    assert np.mean(np.array(fabric) == [row["material"] for row in videos.rows]) > 0.7
-
-
-def test_the_alarm_stays_quiet_for_its_like_and_rings_for_other_videos(folder, tests):
-    _, frames = tests
-    instrument = load_instrument(folder)
-
-    def alarms(some):
-        return np.mean([instrument.measure(one).alarm for one in some])
-
-    assert alarms(frames) <= 0.25  # 12 videos; promised at most a twentieth of very many
-    assert alarms(np.full_like(frames[:4], 20)) == 1.0
-    assert alarms(255 - frames[:12]) >= 0.95
-    assert alarms(frames[:12, :, ::-1]) >= 0.95
+    ends = np.array([one.interval_90 for one in measured])
+    truth = np.array([row["friction"] for row in videos.rows])
+    assert np.mean((ends[:, 0] <= truth) & (truth <= ends[:, 1])) > 0.7
+    assert np.diff(ends).mean() < 0.7
+    fabrics = [one.fabrics[0] for one in measured]
+    assert np.mean(np.array(fabrics) == [row["material"] for row in videos.rows]) > 0.7
+    # 12 videos; promised at most a twentieth of very many.
+    assert np.mean([one.alarm for one in measured]) <= 0.25
+    for wrong, least in (
+        (np.full_like(frames[:4], 20), 1.0),
+        (255 - frames[:12], 0.95),
+        (frames[:12, :, ::-1], 0.95),
+    ):
+        assert np.mean([instrument.measure(one).alarm for one in wrong]) >= least
 
 
 @pytest.mark.slow
@@ -121,12 +118,8 @@ def test_places_of_the_cloth_are_learnt_and_friction_read_from_them_alone(marked
     # On simulations that did not train, beside the mean distance from a constant place.
     off_m = float(history[-1]["validation_points"]) * KEYPOINT_ERROR_M
     assert off_m < 0.3 * float(instrument.networks[0].points_spread_m.mean())
-    truth = np.array([row["friction"] for row in videos.rows])
-    errors = [
-        abs(instrument.measure(one).friction_coefficient - mu)
-        for one, mu in zip(frames, truth, strict=True)
-    ]
-    assert np.mean(errors) < 0.5 * abs(truth - np.median(truth)).mean()
+    errors, constant = errors_of(instrument, videos, frames)
+    assert errors.mean() < 0.5 * constant
 
 
 def test_the_learning_curve_falls_and_is_kept(folder):
@@ -292,23 +285,18 @@ def test_places_are_found_with_errors_of_the_cloth_of_points_and_of_frames():
     assert float(of_frames) == pytest.approx(0.002 * 2**0.5, rel=0.05)
 
 
-def test_a_network_through_points_reads_the_same_from_places_as_from_the_images_of_them(tests):
-    _, frames = tests
-    settings = InstrumentSettings(channels=[8, 16, 24], points_weight=1.0, through_points=True)
-    network = InstrumentNetwork(settings, 2, 24).eval()
-    with torch.inference_mode():
-        seen = network(torch.from_numpy(frames[:3]).float() / 255)
-        read = network.of_keypoints(seen["points"])
-    for name, value in read.items():
-        assert torch.equal(value, seen[name]), name
-
-
-def test_friction_does_not_teach_a_network_through_points_where_the_points_are(tests):
+def test_a_network_through_points_reads_from_places_and_friction_does_not_teach_them(tests):
     """Else it shifts them a little, by which it tells the videos that train."""
     _, frames = tests
     settings = InstrumentSettings(channels=[8, 16, 24], points_weight=1.0, through_points=True)
     network = InstrumentNetwork(settings, 2, 24)
-    seen = network(torch.from_numpy(frames[:3]).float() / 255)
+    images = torch.from_numpy(frames[:3]).float() / 255
+    with torch.inference_mode():
+        seen = network.eval()(images)
+        read = network.of_keypoints(seen["points"])
+    for name, value in read.items():
+        assert torch.equal(value, seen[name]), name
+    seen = network.train()(images)
     (seen["friction"].sum() + seen["order"].sum() + seen["material"].sum()).backward()
     assert network.points.weight.grad is None
     assert all(layer.weight.grad is None for layer in network.convolutions)

@@ -25,6 +25,7 @@ from slipstitch.learning.trainer import DivergedError, PlateauError, Run
 
 CONFIG = synthetic_videos.config()
 VIEWS = ["calibrated", "side"]
+FEW = {"epochs_per_cycle": 1, "plateau_margin": None, "checkpoint_interval_s": 0.0}
 
 
 @pytest.fixture(scope="module")
@@ -63,25 +64,19 @@ def material(dataset, tmp_path_factory):
     return folder
 
 
-def test_the_schedule_adds_a_viewpoint_each_cycle_and_ends_on_the_calibrated_one():
-    settings = TrainSettings(epochs_per_cycle=5, fine_tuning_epochs=2)
-    phases = [
-        (phase.viewpoints, phase.epochs)
-        for phase in progressive_schedule(settings, ["a", "b", "c"])
+def test_the_schedule_adds_viewpoints_lowers_the_rate_and_ends_on_the_calibrated_one():
+    settings = TrainSettings(learning_rate=2.0, epochs_per_cycle=5, fine_tuning_epochs=2)
+    phases = progressive_schedule(settings, ["a", "b", "c"])
+    shown = [(phase.viewpoints, phase.epochs) for phase in phases]
+    assert shown == [(("a",), 5), (("a", "b"), 5), (("a", "b", "c"), 5), (("a",), 2)]
+    rates = [
+        [learning_rate(settings, phases, phase, done) for done in (0.0, 0.5, 1.0)]
+        for phase in phases
     ]
-    assert phases == [(("a",), 5), (("a", "b"), 5), (("a", "b", "c"), 5), (("a",), 2)]
-
-
-def test_the_learning_rate_falls_in_the_last_cycle_and_stays_low_while_fine_tuning():
-    settings = TrainSettings(learning_rate=2.0, fine_tuning_epochs=2)
-    phases = progressive_schedule(settings, ["a", "b"])
-
-    def rates(phase):
-        return [learning_rate(settings, phases, phase, done) for done in (0.0, 0.5, 1.0)]
-
-    assert rates(phases[0]) == pytest.approx([2.0, 2.0, 2.0])
-    assert rates(phases[1]) == pytest.approx([2.0, 1.05, 0.1])
-    assert rates(phases[2]) == pytest.approx([0.1, 0.1, 0.1])
+    for found, expected in zip(
+        rates, ([2.0] * 3, [2.0] * 3, [2.0, 1.05, 0.1], [0.1] * 3), strict=True
+    ):
+        assert found == pytest.approx(expected)
 
 
 def test_epochs_until_the_validation_is_flat_come_before_the_last_cycle():
@@ -111,8 +106,7 @@ def test_epochs_until_the_validation_is_flat_come_before_the_last_cycle():
 
 
 def test_the_network_before_fine_tuning_is_kept_and_tells_the_material(dataset, tmp_path):
-    few = {"epochs_per_cycle": 1, "plateau_margin": None, "checkpoint_interval_s": 0.0}
-    few["keep_all_views"] = True
+    few = FEW | {"keep_all_views": True}
 
     def kill(progress):
         if progress.epoch == 2 and progress.step == 2:  # in the first epoch of fine-tuning
@@ -125,7 +119,7 @@ def test_the_network_before_fine_tuning_is_kept_and_tells_the_material(dataset, 
     kept = load_model(folder / "all_views")
     assert kept.card["epochs"] == 2 and load_model(folder).card["epochs"] == 4
     assert read_sidecar(folder / "all_views/model.safetensors")["stage"] == "train"
-    without = {**few, "fine_tuning_epochs": 0}
+    without = few | {"fine_tuning_epochs": 0}
     train(dataset, tmp_path / "alone", "material_baseline", changes=without)
     alone = load_model(tmp_path / "alone").network.state_dict()
     for name, value in kept.network.state_dict().items():
@@ -137,16 +131,15 @@ def test_the_network_before_fine_tuning_is_kept_and_tells_the_material(dataset, 
 
 def test_a_training_goes_on_elsewhere_to_the_same_bits(dataset, tmp_path):
     """With a copy of the dataset, from a copy of the checkpoint alone."""
-    few = {"epochs_per_cycle": 1, "plateau_margin": None, "checkpoint_interval_s": 0.0}
     with pytest.raises(KeyboardInterrupt):
-        train(dataset, tmp_path / "here", changes=few, after_step=kill)
+        train(dataset, tmp_path / "here", changes=FEW, after_step=kill)
     elsewhere = synthetic_videos.altered_copy(dataset, tmp_path / "copy", lambda rows: None)
     (tmp_path / "there").mkdir()
     shutil.copy(tmp_path / "here/checkpoint.safetensors", tmp_path / "there")
     steps = []
-    train(elsewhere, tmp_path / "there", changes=few, after_step=lambda one: steps.append(one.step))
+    train(elsewhere, tmp_path / "there", changes=FEW, after_step=lambda one: steps.append(one.step))
     assert steps[0] == 3
-    train(dataset, tmp_path / "undisturbed", changes=few)
+    train(dataset, tmp_path / "undisturbed", changes=FEW)
     for name in ("model.safetensors", "model.json", "history.csv"):
         same = (tmp_path / "undisturbed" / name).read_bytes()
         assert (tmp_path / "there" / name).read_bytes() == same, name
@@ -174,8 +167,7 @@ def test_the_conditional_network_listens_to_the_material_network(dataset, materi
 
 
 def test_a_network_may_be_told_the_true_materials(dataset, tmp_path):
-    few = {"epochs_per_cycle": 1, "plateau_margin": None}
-    card = train(dataset, tmp_path, "friction_conditional", material_model=TRUE, changes=few)
+    card = train(dataset, tmp_path, "friction_conditional", material_model=TRUE, changes=FEW)
     assert card["true_materials"] and card["condition_sha256"] is None
     assert {one["name"] for one in card["condition_classes"]} == set(CONFIG.grid.materials)
 
@@ -193,9 +185,8 @@ def test_a_training_may_use_part_of_the_videos_in_phases_of_its_own(dataset, tmp
 
 
 def test_equal_seeds_give_equal_files_and_other_seeds_other_weights(dataset, tmp_path):
-    few = {"epochs_per_cycle": 1, "plateau_margin": None}
     for name, seed in (("a", 0), ("b", 0), ("c", 1)):
-        train(dataset, tmp_path / name, seed=seed, changes=few)
+        train(dataset, tmp_path / name, seed=seed, changes=FEW)
     content = {
         name: {
             file: (tmp_path / name / file).read_bytes()
@@ -216,8 +207,7 @@ def test_a_killed_training_goes_on_to_the_same_bits(
     dataset, tmp_path, capsys, steps, precision, interval_s
 ):
     """Also where checkpoints are to be written less often than before."""
-    few = {"epochs_per_cycle": 2, "plateau_margin": None, "precision": precision}
-    few["checkpoint_interval_s"] = 0.0
+    few = FEW | {"epochs_per_cycle": 2, "precision": precision}
     whole, killed = tmp_path / "undisturbed", tmp_path / "killed"
     train(dataset, whole, changes=few)
     left = iter(range(steps - 1, -1, -1))
@@ -243,22 +233,19 @@ def test_a_killed_training_goes_on_to_the_same_bits(
 @pytest.mark.parametrize("other", [{"seed": 1}, {"threads": 2}], ids=["seed", "threads"])
 def test_a_checkpoint_of_another_training_is_not_used(dataset, tmp_path, capsys, other):
     """Sums over several threads round otherwise: the result would be neither run's."""
-    few = {"epochs_per_cycle": 1, "plateau_margin": None, "checkpoint_interval_s": 0.0}
     with pytest.raises(KeyboardInterrupt):
-        train(dataset, tmp_path, changes=few, after_step=kill, **other)
-    train(dataset, tmp_path, changes=few)
+        train(dataset, tmp_path, changes=FEW, after_step=kill, **other)
+    train(dataset, tmp_path, changes=FEW)
     assert "from another training" in capsys.readouterr().err
-    train(dataset, tmp_path / "fresh", changes=few)
+    train(dataset, tmp_path / "fresh", changes=FEW)
     weights = "model.safetensors"
     assert (tmp_path / weights).read_bytes() == (tmp_path / "fresh" / weights).read_bytes()
 
 
 @pytest.mark.parametrize("part", ["progress", "identity", "weights", "shape", "all"])
 def test_a_checkpoint_altered_in_any_part_is_said_and_not_used(dataset, tmp_path, capsys, part):
-    few = {"epochs_per_cycle": 1, "plateau_margin": None, "checkpoint_interval_s": 0.0}
-
     with pytest.raises(KeyboardInterrupt):
-        train(dataset, tmp_path, changes=few, after_step=kill)
+        train(dataset, tmp_path, changes=FEW, after_step=kill)
     path = tmp_path / "checkpoint.safetensors"
     with safe_open(path, "pt") as file:
         notes = file.metadata()
@@ -274,7 +261,7 @@ def test_a_checkpoint_altered_in_any_part_is_said_and_not_used(dataset, tmp_path
     save_file(tensors, path, notes)
     if part == "all":
         path.write_bytes(b"no checkpoint")
-    train(dataset, tmp_path, seed=int(part == "identity"), changes=few)
+    train(dataset, tmp_path, seed=int(part == "identity"), changes=FEW)
     assert "no readable checkpoint; starting from scratch" in capsys.readouterr().err
 
 

@@ -58,13 +58,9 @@ class Convolution(nn.Conv2d):
     """A convolution of stride 1 that can use bfloat16."""
 
     def forward(self, maps: Tensor, bfloat16: bool = False) -> Tensor:
-        """Convolved maps.
+        """Convolve maps (n, channels, height, width).
 
-        Parameters
-        ----------
-        maps : tensor, shape (n, channels, height, width)
-        bfloat16 : bool
-            With gradients: derive in bfloat16. Without: compute in bfloat16.
+        `bfloat16`: with gradients, derive in bfloat16; without, compute in bfloat16.
         """
         if not bfloat16:
             return super().forward(maps)
@@ -99,17 +95,10 @@ class ConvolutionBlock(nn.Sequential):
 
 
 class LRCN(nn.Module):
-    """Classes from the frames of a video.
+    """Classes from the frames of a video, `pixels` a side; `settings` say sizes and initialisation.
 
-    Parameters
-    ----------
-    settings : TrainSettings
-        Sizes of the layers and initialisation.
-    classes : int
-    pixels : int
-        Side of the frames.
-    condition_classes : int
-        Materials of which a conditional network is told one; 0: it is told nothing.
+    Of a conditional network `condition_classes` is the number of materials of which it is told
+    one.
     """
 
     def __init__(
@@ -184,20 +173,10 @@ class LRCN(nn.Module):
     def forward(
         self, frames: Tensor, condition: Tensor | None = None, bfloat16: bool = False
     ) -> Tensor:
-        """Return the logits.
+        """Return the logits (videos, classes) of uint8 frames (videos, frames, pixels, pixels, 3).
 
-        Parameters
-        ----------
-        frames : uint8 tensor, shape (videos, frames, pixels, pixels, 3)
-        condition : int64 tensor, shape (videos,), optional
-            Class numbers of the materials.
-        bfloat16 : bool
-            Derive the convolutions in bfloat16; without gradients, compute them so too. The rest
-            stays float32.
-
-        Returns
-        -------
-        float32 tensor, shape (videos, classes)
+        The condition (videos,) is the class numbers of the materials. `bfloat16`: derive the
+        convolutions in bfloat16; without gradients, compute them so too. The rest stays float32.
         """
         videos, count = frames.shape[:2]
         maps = self._standardised(frames).permute(0, 3, 1, 2)  # NHWC in memory: channels last

@@ -1,7 +1,6 @@
 """The paper's networks as models: files and predictions."""
 
 import dataclasses
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -121,7 +120,7 @@ def class_probabilities(
     return torch.cat(parts).numpy()
 
 
-def save_model(network: LRCN, card: dict[str, Any], folder: str | os.PathLike) -> dict[str, Any]:
+def save_model(network: LRCN, card: dict[str, Any], folder: str | Path) -> dict[str, Any]:
     """Write ``model.safetensors`` and ``model.json``; return the card as written."""
     return write_weights(
         network.state_dict(),
@@ -131,7 +130,7 @@ def save_model(network: LRCN, card: dict[str, Any], folder: str | os.PathLike) -
     )
 
 
-def load_model(folder: str | os.PathLike) -> LrcnModel:
+def load_model(folder: str | Path) -> LrcnModel:
     """Read a network that `save_model` wrote.
 
     BadInput if a file is missing, is of another kind, or is not as it was written.

@@ -4,7 +4,6 @@ Cycles of the training add a viewpoint each; the calibrated viewpoint alone is f
 """
 
 import math
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import compress
@@ -128,7 +127,7 @@ def train_network(
     network_name: str,
     view_order: Sequence[str],
     *,
-    material_model: str | os.PathLike | None = None,
+    material_model: str | Path | None = None,
     expected_classes: dict[str, list] | None = None,
     phases: list[Phase] | None = None,
 ) -> dict[str, Any]:
@@ -136,7 +135,6 @@ def train_network(
 
     Parameters
     ----------
-    settings, run
     network_name : {"material_baseline", "friction_baseline", "friction_conditional"}
     view_order : sequence of str
         Training viewpoints by name; the first is the calibrated one.
@@ -152,11 +150,8 @@ def train_network(
     ------
     BadInput
         If dataset, material model or arguments do not fit.
-    PlateauError
-        If the training loss is not below chance by `settings.plateau_margin` in the end, or after
-        `PLATEAU_EPOCHS`.
-    DivergedError
-        If the loss is not finite.
+    PlateauError, DivergedError
+        As `Trainer.train`; PlateauError also after `PLATEAU_EPOCHS`.
     """
     started = start_clock()
     _check_names(network_name, material_model)
@@ -234,7 +229,7 @@ def _train_and_write(
     return card
 
 
-def _check_names(network_name: str, material_model: str | os.PathLike | None) -> None:
+def _check_names(network_name: str, material_model: str | Path | None) -> None:
     """Refuse an unknown network, and one with or without a material network against its kind."""
     if network_name not in NETWORKS:
         raise BadInput(f"unknown network {network_name!r}; known: {', '.join(NETWORKS)}")
@@ -245,7 +240,7 @@ def _check_names(network_name: str, material_model: str | os.PathLike | None) ->
         )
 
 
-def _weights_of(material_model: str | os.PathLike, settings: TrainSettings) -> list[Path]:
+def _weights_of(material_model: str | Path, settings: TrainSettings) -> list[Path]:
     """Files of the network that tells a conditional one the material."""
     folder = Path(material_model)
     if settings.keep_all_views and (folder / ALL_VIEWS).is_dir():
@@ -254,7 +249,7 @@ def _weights_of(material_model: str | os.PathLike, settings: TrainSettings) -> l
 
 
 def _conditioned_on(
-    material_model: str | os.PathLike | None, run: Run, videos: Videos, settings: TrainSettings
+    material_model: str | Path | None, run: Run, videos: Videos, settings: TrainSettings
 ) -> tuple[np.ndarray | None, list[dict[str, Any]], str | None]:
     """Material class numbers that a network is told of videos, the classes, the teller's digest."""
     if material_model is None:

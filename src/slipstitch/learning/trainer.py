@@ -6,7 +6,6 @@ A network brings a `Learner`: its videos, the loss of a batch, the learning rate
 import csv
 import hashlib
 import math
-import os
 import sys
 import time
 from collections.abc import Callable, Sequence
@@ -44,12 +43,12 @@ class DivergedError(SlipstitchError):
 class Run:
     """What every training is told."""
 
-    dataset: str | os.PathLike  # folder that the sample stage wrote
+    dataset: str | Path  # folder that the sample stage wrote
     split: str  # one of `slipstitch.config.train.TRAINED_ON`
     seed: int  # of weights, order of the videos, augmentations and dropout
     # folder of the model, of ``history.csv`` and, until the training is finished, of
     # ``checkpoint.safetensors``
-    out: str | os.PathLike
+    out: str | Path
     # frames of a video that the network sees; by default all that the dataset has
     frames: int | None = None
     # says of a manifest row whether its video may train or validate; by default all may
@@ -86,30 +85,22 @@ class Run:
 class Learner:
     """A network with the videos that train it; the base of every network's own."""
 
-    #: Whose code and settings the training depends on.
-    stage: str
-    #: Names the training in messages.
-    name: str
-    #: With ``batch_size``, ``checkpoint_interval_s``, ``plateau_margin`` and ``precision``.
+    stage: str  # whose code and settings the training depends on
+    name: str  # names the training in messages
+    # with ``batch_size``, ``checkpoint_interval_s``, ``plateau_margin`` and ``precision``
     settings: Any
     network: nn.Module
-    #: Which of the videos train, bool of shape (n,); the others validate.
-    training: np.ndarray
-    #: Whether convolutions are derived in bfloat16.
-    bfloat16: bool
+    training: np.ndarray  # (n,) bool: which of the videos train; the others validate
+    bfloat16: bool  # whether convolutions are derived in bfloat16
     optimizer: torch.optim.Optimizer
-    #: The schedule.
-    phases: Sequence[Phase]
-    #: Loss of the best guess that ignores the video, as ``train_loss`` counts it.
-    chance_loss: float
-    #: Gradients are clipped to it.
-    gradient_norm_max: float | None = None
-    #: Last epochs over which the loss is averaged before it is compared with chance.
+    phases: Sequence[Phase]  # the schedule
+    chance_loss: float  # of the best guess that ignores the video, as ``train_loss`` counts it
+    gradient_norm_max: float | None = None  # gradients are clipped to it
+    # last epochs over which the loss is averaged before it is compared with chance, and epochs
+    # after which it is compared for the first time; None: in the end only
     plateau_window: int = 1
-    #: Epochs after which it is compared for the first time; None: in the end only.
     plateau_epochs: int | None = None
-    #: Which settings to look at, for the messages.
-    diverged_hint: str
+    diverged_hint: str  # which settings to look at, for the messages
     plateau_hint: str
 
     def videos(self, phase: Phase) -> tuple[np.ndarray, np.ndarray]:
@@ -146,23 +137,10 @@ class Learner:
 class Trainer:
     """Trains a learner, from the start or from the checkpoint of the same training.
 
-    Parameters
-    ----------
-    learner : Learner
-    run : Run
-    videos : Videos
-        Those of `run`.
-    started : tuple of float
-        What `slipstitch.base.provenance.start_clock` returned before they were read.
-    identity : dict
-        In JSON's types, what tells this training from others beside data, settings and code.
-
-    Attributes
-    ----------
-    history : list of dict
-        One row per finished epoch.
-    at_end_of : callable, optional
-        Called with every phase that is finished.
+    `videos` are those of the run, `started` is what `start_clock` returned before they were
+    read, `identity` is, in JSON's types, what tells this training from others beside data,
+    settings and code. `history` gets a row per finished epoch; `at_end_of` is called with every
+    phase that ends.
     """
 
     def __init__(self, learner: Learner, run: Run, videos: Videos, started: Any, **identity: Any):
@@ -191,12 +169,8 @@ class Trainer:
     def train(self) -> None:
         """Train to the end; then `history` has one row per epoch.
 
-        Raises
-        ------
-        DivergedError
-            If the loss is not finite.
-        PlateauError
-            If the training loss is not below chance by the margin of the settings.
+        DivergedError if the loss is not finite, PlateauError if the training loss is not below
+        chance by the margin of the settings.
         """
         learner = self.learner
         most = sum(phase.epochs for phase in learner.phases)

@@ -1,7 +1,6 @@
 """One variant of a question with one seed: trained, and tested on held-out simulations."""
 
 import dataclasses
-import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -66,7 +65,7 @@ def phases(viewpoints: list[str], passes: int, fine_tuning: int, joint: bool) ->
 
 
 def run_case(
-    config: Config, dataset: str | os.PathLike, case: Case, folder: Path, threads: int = 1
+    config: Config, dataset: str | Path, case: Case, folder: Path, threads: int = 1
 ) -> dict[str, Any]:
     """Train a variant, its models in a folder, and test it.
 
@@ -131,7 +130,7 @@ def run_case(
 
 
 def _predictions(
-    model: LrcnModel | Instrument, dataset: str | os.PathLike, tests: dict[str, frozenset[str]]
+    model: LrcnModel | Instrument, dataset: str | Path, tests: dict[str, frozenset[str]]
 ) -> list[dict[str, Any]]:
     """Predictions for the videos of some test sets."""
     tested = frozenset().union(*tests.values())
@@ -184,7 +183,7 @@ def _at_chance(model: LrcnModel | Instrument, margin: float | None) -> bool:
 
 
 def write_case(
-    config: Config, dataset: str | os.PathLike, case: Case, out: str | os.PathLike, threads: int = 1
+    config: Config, dataset: str | Path, case: Case, out: str | Path, threads: int = 1
 ) -> dict[str, Any]:
     """Write what `run_case` returns as JSON; the models lie in a folder of that name."""
     started = start_clock()

@@ -6,7 +6,6 @@ interval counts seeds and simulations, not videos.
 """
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -279,10 +278,7 @@ def _picture(comparisons: list[Mapping[str, Any]]) -> Figure | None:
 
 
 def write_summary(
-    config: Config,
-    folder: str | os.PathLike,
-    out: str | os.PathLike,
-    page: str | os.PathLike | None = None,
+    config: Config, folder: str | Path, out: str | Path, page: str | Path | None = None
 ) -> dict[str, Any]:
     """Write the summary of ``{question}/{network}_{variant}_seed{seed}.json`` and its page.
 

@@ -1,6 +1,5 @@
 """Evaluation of trained models: a table of predictions, and the scores that follow from it."""
 
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -50,9 +49,9 @@ Row = dict[str, Any]
 class Outputs(NamedTuple):
     """Files of an evaluation."""
 
-    metrics: str | os.PathLike
-    predictions: str | os.PathLike
-    details: str | os.PathLike
+    metrics: str | Path
+    predictions: str | Path
+    details: str | Path
 
 
 @dataclass
@@ -115,9 +114,7 @@ def prediction_row(
     }
 
 
-def predicted_table(
-    dataset: str | os.PathLike, models: Mapping[Key, LrcnModel | Instrument]
-) -> Table:
+def predicted_table(dataset: str | Path, models: Mapping[Key, LrcnModel | Instrument]) -> Table:
     """Return the predictions of models on all their test sets of a dataset.
 
     BadInput if a model was trained on other data, or files are damaged.
@@ -178,7 +175,7 @@ def alarm_rates(instrument: Instrument, videos: Videos) -> dict[str, float]:
     }
 
 
-def probe_table(dataset: str | os.PathLike) -> Table:
+def probe_table(dataset: str | Path) -> Table:
     """Return the predictions of the probes on the splits that must tell nothing."""
     table = Table()
     for name, network, classes, rows in probes(dataset):
@@ -189,11 +186,7 @@ def probe_table(dataset: str | os.PathLike) -> Table:
 
 
 def write_evaluation(
-    dataset: str | os.PathLike,
-    trained: Trained,
-    out: Outputs,
-    update: bool = False,
-    threads: int = 1,
+    dataset: str | Path, trained: Trained, out: Outputs, update: bool = False, threads: int = 1
 ) -> dict[str, Any]:
     """Write predictions.parquet and its scores, metrics.json and details.json; return the metrics.
 
@@ -253,7 +246,7 @@ def write_evaluation(
     return metrics
 
 
-def _scored_before(manifest: Path, out: str | os.PathLike) -> dict[str, str]:
+def _scored_before(manifest: Path, out: str | Path) -> dict[str, str]:
     """Path -> SHA-256 of what the metrics in `out` are of."""
     try:
         record = read_provenance(out)

@@ -205,31 +205,23 @@ def entry(n: int, seeds: list[int], *scores: dict[str, float]) -> dict[str, Any]
 
 def test_set_lines(metrics: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> list[str]:
     """Every test set and model of evaluate/metrics.json, a line each."""
-    heads = [f"{'split':<16}", f"{'model':<27}", f"{'n':>5}"]
-    return _lines(metrics, heads, metrics_of(TEST_SETS))
+    return _lines(metrics, "split", 16, 27, 5, metrics_of(TEST_SETS))
 
 
 def capture_lines(metrics: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> list[str]:
     """Every subset of the captures and model of captures/metrics.json, a line each."""
-    heads = [f"{'captures':<22}", f"{'model':<38}", f"{'n':>4}"]
     columns = [metric for metric in metrics_of(CAPTURES, "friction", "capture") if metric.column]
-    return _lines(metrics, heads, columns)
+    return _lines(metrics, "captures", 22, 38, 4, columns)
 
 
-def _lines(metrics, heads: list[str], columns: list[Metric]) -> list[str]:
-    first, second, count = (len(head) for head in heads)
-    return [" ".join([*heads, *(f"{metric.column:>{_width(metric)}}" for metric in columns)])] + [
-        " ".join(
-            [
-                f"{of:<{first}}",
-                f"{model:<{second}}",
-                f"{row['n']:>{count}}",
-                *(_cell(metric, row[metric.name]) for metric in columns),
-            ]
-        )
-        for of, models in metrics.items()
-        for model, row in models.items()
-    ]
+def _lines(metrics, head: str, first: int, second: int, count: int, columns: list[Metric]):
+    lines = [f"{head:<{first}} {'model':<{second}} {'n':>{count}}"]
+    lines[0] += "".join(f" {metric.column:>{_width(metric)}}" for metric in columns)
+    for of, models in metrics.items():
+        for model, row in models.items():
+            cells = "".join(f" {_cell(metric, row[metric.name])}" for metric in columns)
+            lines.append(f"{of:<{first}} {model:<{second}} {row['n']:>{count}}{cells}")
+    return lines
 
 
 def _width(metric: Metric) -> int:
@@ -237,8 +229,7 @@ def _width(metric: Metric) -> int:
 
 
 def _cell(metric: Metric, value: float | None) -> str:
-    if value is None:
-        shown = "-"
-    else:
-        shown = f"{100 * value:.1f}%" if metric.unit == "%" else f"{value:.4f}"
+    shown = "-" if value is None else f"{value:.4f}"
+    if value is not None and metric.unit == "%":
+        shown = f"{100 * value:.1f}%"
     return f"{shown:>{_width(metric)}}"

@@ -3,6 +3,7 @@
 import os
 from collections.abc import Iterator
 from itertools import compress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -66,7 +67,7 @@ def network_answers(features: np.ndarray, labels: np.ndarray, sides: np.ndarray)
 
 
 def probe_features(
-    dataset: str | os.PathLike, videos: Videos, sides: np.ndarray
+    dataset: str | Path, videos: Videos, sides: np.ndarray
 ) -> dict[str, tuple[np.ndarray, np.ndarray]]:
     """Name of a probe -> what it sees of every video, and the sides by which it learns.
 
@@ -78,7 +79,7 @@ def probe_features(
     return {MIDDLE_FRAME: (middle, sides)} | seen
 
 
-def _sizes(dataset: str | os.PathLike, videos: Videos) -> np.ndarray:
+def _sizes(dataset: str | Path, videos: Videos) -> np.ndarray:
     """Bytes of the first frames' files."""
     wanted = {row["video"] for row in videos.rows}
     size = {
@@ -91,7 +92,7 @@ def _sizes(dataset: str | os.PathLike, videos: Videos) -> np.ndarray:
 
 
 def probe_split(
-    dataset: str | os.PathLike, videos: Videos, split: str
+    dataset: str | Path, videos: Videos, split: str
 ) -> Iterator[tuple[str, str, list[Row], list[Row]]]:
     """Give the predictions of every probe in one split: split, network, classes, rows of the table.
 
@@ -129,7 +130,7 @@ def probe_split(
             yield split, name + learner, classes, rows
 
 
-def probes(dataset: str | os.PathLike) -> Iterator[tuple[str, str, list[Row], list[Row]]]:
+def probes(dataset: str | Path) -> Iterator[tuple[str, str, list[Row], list[Row]]]:
     """Give what `probe_split` gives of the splits that must tell nothing."""
     splits = probed_splits(read_manifest(dataset)[0])
     videos = read_videos(

@@ -4,8 +4,8 @@ Nothing here trains or predicts, and nothing needs PyTorch: whoever has the tabl
 """
 
 import math
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,13 +42,9 @@ PROBE = "probe_"
 
 SCHEMA = pa.schema(
     [
-        ("video", pa.string()),
-        ("simulation", pa.string()),
-        ("texture", pa.string()),
-        ("viewpoint", pa.string()),
-        ("split", pa.string()),  # test set
-        ("trained_on", pa.string()),
-        ("network", pa.string()),
+        *((name, pa.string()) for name in ("video", "simulation", "texture", "viewpoint")),
+        # test set, on what the model was trained, which
+        *((name, pa.string()) for name in ("split", "trained_on", "network")),
         ("seed", pa.int32()),  # null: an average
         ("true", pa.string()),  # id of the fabric or coefficient
         ("predicted", pa.string()),
@@ -272,7 +268,7 @@ def breakdown(rows: Sequence[Row], manifest: Mapping[str, Row]) -> dict[str, dic
     return result
 
 
-def read_table(path: str | os.PathLike) -> tuple[list[Row], dict[str, Any]]:
+def read_table(path: str | Path) -> tuple[list[Row], dict[str, Any]]:
     """Return the rows of predictions.parquet, and what its metadata say of models and scores.
 
     BadInput if the file is missing, damaged, or of an earlier version, without the fabrics.
@@ -283,7 +279,7 @@ def read_table(path: str | os.PathLike) -> tuple[list[Row], dict[str, Any]]:
     return read_parquet(path, SCHEMA.names).to_pylist(), notes
 
 
-def recomputed(path: str | os.PathLike) -> dict[str, Any]:
+def recomputed(path: str | Path) -> dict[str, Any]:
     """Return the content that metrics.json must have, from predictions.parquet alone."""
     rows, notes = read_table(path)
     return metrics_of_table(rows, notes["models"])

@@ -25,22 +25,16 @@ class EvaluationSet:
 
 
 def evaluation_sets(rows: list[Row]) -> list[EvaluationSet]:
-    """Return the test sets that a dataset has, in the order of the tables.
+    """Return the test sets that a dataset has by its manifest, in the order of the tables.
 
-    by_video, by_simulation: the split's test videos in training textures and views.
-    off_grid, unseen_fabric: friction coefficients between those of the grid, and fabrics that no
-    network trains on, with the networks trained by simulation.
-    unseen_texture: test-only textures in training views; view_-15 ...: test-only views by their
-    turn from the calibrated one, in degrees, in training textures. Both test the networks trained
-    by video on every simulation, as the paper does: the texture or the view is new to them, the
-    cloth's motion is not.
+    by_video, by_simulation: the split's test videos in training textures and views. off_grid,
+    unseen_fabric: friction coefficients between those of the grid, and fabrics that no network
+    trains on, with the networks trained by simulation. unseen_texture: test-only textures in
+    training views; view_-15 ...: test-only views by their turn from the calibrated one, in
+    degrees, in training textures. Both test the networks trained by video on every simulation,
+    as the paper does: the texture or the view is new to them, the cloth's motion is not.
     reflective_floors, by_video_reflective: by_video's test videos on the floors of the second
     training set, with the networks that have not learnt from it, and with those that have.
-
-    Parameters
-    ----------
-    rows : list of dict
-        The manifest.
     """
 
     def of_split(split: str, row: Row) -> bool:

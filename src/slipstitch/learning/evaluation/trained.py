@@ -1,7 +1,6 @@
 """The trained models that an evaluation is of: finding, checking and loading them."""
 
 import dataclasses
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,15 +31,15 @@ class Trained:
     """Which models count."""
 
     # folder ``{split}/{network}/seed{seed}/`` that the train stage wrote
-    networks: str | os.PathLike | None = None
+    networks: str | Path | None = None
     # folder ``{split}/seed{seed}/``, ``{split}/ensemble/`` that the instrument stage wrote
-    instruments: str | os.PathLike | None = None
+    instruments: str | Path | None = None
     # which splits and seeds count; others, left by an earlier configuration, do not
     train: TrainSettings | None = None
     instrument_seeds: list[int] | None = None  # which seeds of instruments count
     # folder of the instrument that comes with Slipstitch. No simulation of the dataset trained it,
     # so the test videos of every split are new to it.
-    shipped: str | os.PathLike | None = None
+    shipped: str | Path | None = None
 
     @property
     def splits(self) -> Sequence[str]:

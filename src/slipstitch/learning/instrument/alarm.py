@@ -15,7 +15,7 @@ counts. Its threshold is conformal over simulations (`conformal.grouped_quantile
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -60,20 +60,9 @@ class Alarm:
     embedding_mean: np.ndarray  # (N * E,): of the embeddings of N networks, one after another
     embedding_whitening: np.ndarray  # (N * E, E): each network's own, one below another
     # (4,): median and spread of each score on held-out videos
-    centre: np.ndarray
-    scale: np.ndarray
-    threshold: float  # of the largest scaled score
-
-    @property
-    def statistics(self) -> tuple[np.ndarray, ...]:
-        """What `describe` gave: the first five."""
-        return (
-            self.mean,
-            self.components,
-            self.variances,
-            self.embedding_mean,
-            self.embedding_whitening,
-        )
+    centre: np.ndarray = field(default_factory=lambda: np.zeros(len(SCORES)))
+    scale: np.ndarray = field(default_factory=lambda: np.ones(len(SCORES)))
+    threshold: float = 0.0  # of the largest scaled score
 
     def raw(self, videos: np.ndarray, embedding: np.ndarray, order: np.ndarray) -> np.ndarray:
         """The four scores of videos, float64 of shape (n, 4).
@@ -109,11 +98,23 @@ class Alarm:
         worst = SCORES[int(np.nan_to_num(scaled, nan=math.inf).argmax())]
         return REASONS[worst]
 
+    def calibrated(self, raw: np.ndarray, groups: Sequence[str], false_alarms: float) -> "Alarm":
+        """The alarm with the threshold that so large a share of videos like those held out exceeds.
 
-def describe(
-    videos: np.ndarray, embedding: np.ndarray
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Mean, components, variances, embedding mean and whitening of training videos.
+        From the scores (n, 4) of these, whose groups are their simulations. With too few groups to
+        promise the share, the threshold is their largest score.
+        """
+        centre = np.median(raw, axis=0)
+        scale = np.maximum(1.4826 * np.median(abs(raw - centre), axis=0), 1e-6)
+        largest = ((raw - centre) / scale).max(1)
+        threshold = grouped_quantile(largest, groups, 1.0 - false_alarms)
+        if not math.isfinite(threshold):
+            threshold = float(largest.max())
+        return replace(self, centre=centre, scale=scale, threshold=threshold)
+
+
+def describe(videos: np.ndarray, embedding: np.ndarray) -> Alarm:
+    """An alarm that scores videos by those that train, and knows no threshold yet.
 
     The covariance of the embedding is shrunk towards its diagonal by a tenth.
     """
@@ -127,27 +128,4 @@ def describe(
     diagonal = np.diag(np.diag(covariance) + 1e-8)
     values, vectors_e = np.linalg.eigh(0.9 * covariance + 0.1 * diagonal)
     whitening = vectors_e / np.sqrt(values)
-    return mean, axes[:count], variances[:count], embedding.mean(0), whitening
-
-
-def calibrated_alarm(
-    parts: tuple[np.ndarray, ...], raw: np.ndarray, groups: Sequence[str], false_alarms: float
-) -> Alarm:
-    """An alarm from what `describe` gave and the scores (n, 4) of held-out videos.
-
-    The scores are those of an alarm that is `not_calibrated`, the groups the videos'
-    simulations; `false_alarms` is the share of such videos. With too few groups to promise it,
-    the threshold is their largest score.
-    """
-    centre = np.median(raw, axis=0)
-    scale = np.maximum(1.4826 * np.median(abs(raw - centre), axis=0), 1e-6)
-    largest = ((raw - centre) / scale).max(1)
-    threshold = grouped_quantile(largest, groups, 1.0 - false_alarms)
-    if not math.isfinite(threshold):
-        threshold = float(largest.max())
-    return Alarm(*(*parts, centre, scale, threshold))
-
-
-def not_calibrated(parts: tuple[np.ndarray, ...]) -> Alarm:
-    """An alarm that scores videos but knows no threshold yet."""
-    return Alarm(*(*parts, np.zeros(len(SCORES)), np.ones(len(SCORES)), 0.0))
+    return Alarm(mean, axes[:count], variances[:count], embedding.mean(0), whitening)

@@ -5,7 +5,6 @@ spread is one number: the promise of the conformal step is tested with it fitted
 """
 
 import dataclasses
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +18,7 @@ from scipy.special import log_softmax
 
 from slipstitch.base.provenance import read_parquet
 from slipstitch.dataset.videos import Videos
-from slipstitch.learning.instrument.alarm import SCORES, calibrated_alarm, describe, not_calibrated
+from slipstitch.learning.instrument.alarm import SCORES, Alarm, describe
 from slipstitch.learning.instrument.augmentation import phased
 from slipstitch.learning.instrument.conformal import grouped_quantile
 from slipstitch.learning.instrument.distribution import ranked_probability_score, spread
@@ -87,28 +86,22 @@ def from_table(table: pa.Table) -> CalibrationAnswers:
     )
 
 
-def read_answers(folder: str | os.PathLike) -> CalibrationAnswers:
+def read_answers(folder: str | Path) -> CalibrationAnswers:
     """Read `ANSWERS` of an average; BadInput if the file is missing, damaged or another one."""
     return from_table(read_parquet(Path(folder) / ANSWERS, ANSWERS_SCHEMA.names))
 
 
 def answers_on(
-    instrument: Instrument,
-    statistics: tuple[np.ndarray, ...],
-    videos: Videos,
-    generator: np.random.Generator,
+    instrument: Instrument, alarm: Alarm, videos: Videos, generator: np.random.Generator
 ) -> CalibrationAnswers:
-    """Return what an instrument says of videos that are to calibrate it.
-
-    `statistics` are those of the training videos (`alarm.describe`).
-    """
+    """Return what an instrument and its alarm say of videos that are to calibrate both."""
     frames = phased(videos.pixels, instrument.card["frames"], None)
     answers = instrument.answers(frames, generator, poses_of(videos.rows))
     return CalibrationAnswers(
         rows=[{name: row[name] for name in _NAMES} for row in videos.rows],
         probabilities=answers.probabilities,
         material_logits=answers.material_logits,
-        strangeness=not_calibrated(statistics).raw(frames, answers.embedding, answers.order),
+        strangeness=alarm.raw(frames, answers.embedding, answers.order),
     )
 
 
@@ -166,19 +159,14 @@ def calibrated(instrument: Instrument, videos: Videos, training: np.ndarray) -> 
     generator = np.random.default_rng(0)
     trained = phased(videos.pixels[training], instrument.card["frames"], None)
     answers = instrument.answers(trained, generator, poses_of(videos.rows)[training])
-    statistics = describe(trained, answers.embedding)
+    alarm = describe(trained, answers.embedding)
     del trained  # as large as all videos that train
-    held = answers_on(instrument, statistics, videos.chosen(~training), generator)
-    return with_error_bars(instrument, statistics, held)
+    held = answers_on(instrument, alarm, videos.chosen(~training), generator)
+    return with_error_bars(instrument, alarm, held)
 
 
-def with_error_bars(
-    instrument: Instrument, statistics: tuple[np.ndarray, ...], held: CalibrationAnswers
-) -> Instrument:
-    """Return the instrument with error bars from its answers on videos that did not train it.
-
-    `statistics` are those of the training videos (`alarm.describe`).
-    """
+def with_error_bars(instrument: Instrument, alarm: Alarm, held: CalibrationAnswers) -> Instrument:
+    """Return the instrument with error bars from its answers on videos that did not train it."""
     groups, friction = held.groups, held.friction
     names = instrument.card["materials"]
     known = [k for k, row in enumerate(held.rows) if row["material"] in names]
@@ -195,6 +183,6 @@ def with_error_bars(
         if known
         else 1.0,
         conformal_scale=grouped_quantile(scores, groups, COVERAGE),
-        alarm=calibrated_alarm(statistics, held.strangeness, groups, FALSE_ALARMS),
+        alarm=alarm.calibrated(held.strangeness, groups, FALSE_ALARMS),
     )
     return dataclasses.replace(instrument, error_bars=bars)

@@ -7,12 +7,12 @@ Its conformal scale may allow for its predictions on other benches too.
 
 import dataclasses
 import math
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import torch
 
 from slipstitch.base.errors import BadInput
@@ -52,10 +52,13 @@ from slipstitch.learning.instrument.measuring import (
 from slipstitch.learning.instrument.network import InstrumentNetwork
 from slipstitch.learning.instrument.readings import (
     READINGS,
-    CalibrationReadings,
+    READINGS_SCHEMA,
+    Readings,
+    groups_of,
     kept_readings,
     read_readings,
     readings_on,
+    sources_of,
 )
 from slipstitch.learning.torch_setup import set_up_torch
 
@@ -83,11 +86,11 @@ _SUMMED = ("parameters", "multiply_accumulates_per_frame")
 
 
 def combine_instruments(
-    members: Sequence[str | os.PathLike],
-    dataset: str | os.PathLike,
+    members: Sequence[str | Path],
+    dataset: str | Path,
     split: str,
-    out_dir: str | os.PathLike,
-    further: Sequence[str | os.PathLike] = (),
+    out_dir: str | Path,
+    further: Sequence[str | Path] = (),
     threads: int = 1,
 ) -> dict[str, Any]:
     """Average trained instruments, calibrate the error bars and the alarm of the average, write it.
@@ -129,14 +132,14 @@ def combine_instruments(
     networks = tuple(_rounded(instrument) for instrument in trained)
     combined = Instrument(networks, _common_card(trained, weights), None)
     alarms = [one.error_bars.alarm for one in trained if one.error_bars]
-    held, readings = None, CalibrationReadings([])
+    held, readings = None, []
     if alarms:
-        statistics = _statistics(alarms)
+        alarm = _joined(alarms)
         videos = _held_out(trained[0], dataset, split)
-        answers = answers_on(combined, statistics, videos, np.random.default_rng(0))
+        answers = answers_on(combined, alarm, videos, np.random.default_rng(0))
         held = from_table(answers.table())  # rounded as it is kept
-        combined = with_error_bars(combined, statistics, held)
-        readings = _on_datasets(combined, readings, further)
+        combined = with_error_bars(combined, alarm, held)
+        readings = _read_further(combined, [], further)
         combined = _rescaled(combined, held, readings)
     elif further:
         raise BadInput(
@@ -168,10 +171,10 @@ def _common_card(trained: Sequence[Instrument], weights: Sequence[Path]) -> dict
 
 
 def recalibrate_instrument(
-    folder: str | os.PathLike,
-    out_dir: str | os.PathLike,
-    further: Sequence[str | os.PathLike] = (),
-    files: Sequence[str | os.PathLike] = (),
+    folder: str | Path,
+    out_dir: str | Path,
+    further: Sequence[str | Path] = (),
+    files: Sequence[str | Path] = (),
     threads: int = 1,
 ) -> dict[str, Any]:
     """Stretch the intervals of an average by what it reads of other benches too, write it.
@@ -197,10 +200,8 @@ def recalibrate_instrument(
         inputs = read_provenance(Path(folder) / WEIGHTS)["inputs"]
     except FileNotFoundError:
         raise BadInput(f"{Path(folder) / WEIGHTS}: has no record of what trained it") from None
-    first = len(readings.noted)
-    readings = _on_datasets(before, readings, further)
-    for file in files:
-        readings = _with(before, readings, read_readings(file, before), file)
+    first = len(sources_of(readings))
+    readings = _read_further(before, readings, further, files)
     # A card names the weights beside it, which are others now.
     card = {name: entry for name, entry in before.card.items() if name != "weights_sha256"}
     card["recalibrated_from"] = {
@@ -217,7 +218,7 @@ def recalibrate_instrument(
 
 
 def _inputs(
-    further: Sequence[str | os.PathLike], files: Sequence[str | os.PathLike], first: int
+    further: Sequence[str | Path], files: Sequence[str | Path], first: int
 ) -> dict[str, str]:
     """Digests of what other benches are known from, by names that tell them apart."""
     paths = [
@@ -230,57 +231,59 @@ def _inputs(
     }
 
 
-def _on_datasets(
-    combined: Instrument, readings: CalibrationReadings, further: Sequence[str | os.PathLike]
-) -> CalibrationReadings:
-    """The readings, and those of all videos of further datasets."""
-    for folder in further:
-        videos = read_videos(
-            folder,
-            lambda row: row["viewpoint"] in combined.card["viewpoints"],
-            combined.settings.pixels,
+def _read_further(
+    combined: Instrument,
+    readings: Readings,
+    further: Sequence[str | Path],
+    files: Sequence[str | Path] = (),
+) -> Readings:
+    """The readings, and those of all videos of further datasets, and of files.
+
+    BadInput if these cannot calibrate, are of videos that trained, or calibrate already.
+    """
+    for path, is_dataset in (*((one, True) for one in further), *((one, False) for one in files)):
+        if is_dataset:
+            videos = read_videos(
+                path,
+                lambda row: row["viewpoint"] in combined.card["viewpoints"],
+                combined.settings.pixels,
+            )
+            _check_further(combined, videos, path)
+            found = readings_on(combined, videos)
+        else:
+            found = read_readings(path, combined)
+        of_found, known = (
+            {row[name] for row in rows for name in ("source", "dataset")} - {None}
+            for rows in (found, readings)
         )
-        _check_further(combined, videos, folder)
-        readings = _with(combined, readings, readings_on(combined, videos), folder)
+        if of_found & {combined.card["dataset_digest"], *known}:
+            raise BadInput(f"{path}: trained or calibrates the instrument already")
+        readings = readings + found
     return readings
 
 
-def _rescaled(
-    combined: Instrument, held: CalibrationAnswers, readings: CalibrationReadings
-) -> Instrument:
+def _rescaled(combined: Instrument, held: CalibrationAnswers, readings: Readings) -> Instrument:
     """The average whose intervals hold on other benches too, with a card that says so.
 
     Its conformal scale is the quantile over all simulations, its own and those of the readings,
     each counting once. All else stays as it is.
     """
-    simulations = len({*held.groups}) + len({*readings.groups})
+    simulations = len({*held.groups}) + len({*groups_of(readings)})
     card = combined.card | {"calibration_simulations": simulations}
     bars = combined.error_bars
-    if bars and readings.rows:
-        card["calibration_readings"] = readings.noted
-        own = combined.needed_scale(combined.spread_out(held.probabilities), held.friction)
+    if bars and readings:
+        card["calibration_readings"] = sources_of(readings)
+        own = combined.needed_scale(combined.distributions(held.probabilities), held.friction)
         scale = grouped_quantile(
-            np.concatenate([own, [row["stretch"] for row in readings.rows]]),
-            [*(f"own {group}" for group in held.groups), *readings.groups],
+            np.concatenate([own, [row["stretch"] for row in readings]]),
+            [*(f"own {group}" for group in held.groups), *groups_of(readings)],
             COVERAGE,
         )
         bars = dataclasses.replace(bars, conformal_scale=scale)
     return dataclasses.replace(combined, card=card, error_bars=bars)
 
 
-def _with(
-    combined: Instrument,
-    readings: CalibrationReadings,
-    found: CalibrationReadings,
-    path: str | os.PathLike,
-) -> CalibrationReadings:
-    """Readings and more; BadInput if these are of videos that trained, or calibrate already."""
-    if found.known & {combined.card["dataset_digest"], *readings.known}:
-        raise BadInput(f"{path}: trained or calibrates the instrument already")
-    return CalibrationReadings(readings.rows + found.rows)
-
-
-def _check_further(combined: Instrument, videos: Videos, folder: str | os.PathLike) -> None:
+def _check_further(combined: Instrument, videos: Videos, folder: str | Path) -> None:
     """BadInput if the videos of a dataset are of no use to calibrate."""
     frames, wanted = videos.pixels.shape[1], combined.card["frames"]
     if frames < wanted:
@@ -296,8 +299,8 @@ def _check_further(combined: Instrument, videos: Videos, folder: str | os.PathLi
 def _write(
     combined: Instrument,
     held: CalibrationAnswers | None,
-    readings: CalibrationReadings,
-    out_dir: str | os.PathLike,
+    readings: Readings,
+    out_dir: str | Path,
     record: dict[str, Any],
 ) -> dict[str, Any]:
     """Write the four files, tables without rows where nothing calibrates; return the card."""
@@ -307,16 +310,15 @@ def _write(
         write_sidecar(out / name, record)
     answers = ANSWERS_SCHEMA.empty_table() if held is None else held.table()
     write_parquet(answers, out / ANSWERS, {}, record)
-    write_parquet(readings.table(), out / READINGS, {}, record)
+    table = pa.Table.from_pylist(readings, schema=READINGS_SCHEMA)
+    write_parquet(table, out / READINGS, {}, record)
     return written
 
 
-def _check_alike(
-    trained: Sequence[Instrument], members: Sequence[str | os.PathLike], split: str
-) -> None:
+def _check_alike(trained: Sequence[Instrument], members: Sequence[str | Path], split: str) -> None:
     """BadInput unless all are single networks, alike but for their seeds."""
     first = trained[0]
-    seeds: dict[int, str | os.PathLike] = {}
+    seeds: dict[int, str | Path] = {}
     for instrument, member in zip(trained, members, strict=True):
         card = instrument.card
         if len(instrument.networks) > 1:
@@ -331,7 +333,7 @@ def _check_alike(
                 raise BadInput(f"{member}: differs from {members[0]} in its {name}")
 
 
-def _held_out(instrument: Instrument, dataset: str | os.PathLike, split: str) -> Videos:
+def _held_out(instrument: Instrument, dataset: str | Path, split: str) -> Videos:
     """The videos that calibrate; BadInput if the dataset is not the one of the training."""
     column, views = f"split_{split_of(split)}", instrument.card["viewpoints"]
     videos = read_videos(
@@ -354,12 +356,13 @@ def _rounded(instrument: Instrument) -> InstrumentNetwork:
     return network
 
 
-def _statistics(alarms: Sequence[Alarm]) -> tuple[np.ndarray, ...]:
-    """Those of the training videos for an alarm over all networks, rounded as they are stored."""
+def _joined(alarms: Sequence[Alarm]) -> Alarm:
+    """An alarm over all networks, its statistics rounded as they are stored; not calibrated."""
     # The first three are of the videos alone, and so the same for all.
+    first = alarms[0]
     parts = (
-        *alarms[0].statistics[:3],
+        *(first.mean, first.components, first.variances),
         np.concatenate([alarm.embedding_mean for alarm in alarms]),
         np.concatenate([alarm.embedding_whitening for alarm in alarms]),
     )
-    return tuple(restored(halved(torch.from_numpy(part))).numpy() for part in parts)
+    return Alarm(*(restored(halved(torch.from_numpy(part))).numpy() for part in parts))

@@ -11,24 +11,19 @@ from slipstitch.dataset.videos import Videos
 from slipstitch.learning.instrument.network import InstrumentNetwork
 
 KEYPOINT_SPREAD_MIN_M = 1e-3
-
-
-KEYPOINT_ERROR_M = (
-    0.005  # the unit of the loss of places: in that of their spread, tails count little
-)
-
-
-def unit_of_keypoints(points_m: Tensor) -> tuple[Tensor, Tensor]:
-    """Mean of places (n, frames, points, 3) and mean distance from it, both (points, 3) float64."""
-    points_m = points_m.double()
-    mean_m = points_m.mean((0, 1))
-    return mean_m, (points_m - mean_m).abs().mean((0, 1)).clamp(min=KEYPOINT_SPREAD_MIN_M)
+# The unit of the loss of places: in that of their spread, tails count little.
+KEYPOINT_ERROR_M = 0.005
 
 
 def keypoints_in_unit(network: InstrumentNetwork, videos: Videos, training: np.ndarray) -> Tensor:
-    """Places of the videos' points in the network's unit, which it is given."""
+    """Places of the videos' points minus the mean of those that train, over the mean distance.
+
+    The network is given both, as the unit of its places.
+    """
     points_m = torch.from_numpy(videos.points_m)
-    mean_m, spread_m = unit_of_keypoints(points_m[training])
+    known_m = points_m[training].double()
+    mean_m = known_m.mean((0, 1))
+    spread_m = (known_m - mean_m).abs().mean((0, 1)).clamp(min=KEYPOINT_SPREAD_MIN_M)
     network.points_mean_m.copy_(mean_m)
     network.points_spread_m.copy_(spread_m)
     return (points_m - network.points_mean_m) / network.points_spread_m

@@ -1,7 +1,6 @@
 """The instrument: from the frames of a video to mu, its error bar, the fabric and the alarm."""
 
 import math
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -127,11 +126,7 @@ class Instrument:
                 )
         return Answers(**{name: np.stack([part[name] for part in parts]) for name in parts[0]})
 
-    def distributions(self, answers: Answers) -> np.ndarray:
-        """Calibrated distributions on the grid, shape (n, G)."""
-        return self.spread_out(answers.probabilities)
-
-    def spread_out(self, probabilities: np.ndarray) -> np.ndarray:
+    def distributions(self, probabilities: np.ndarray) -> np.ndarray:
         """Calibrated distributions on the grid, from those of uncalibrated answers, (n, G)."""
         bars = self.error_bars
         return spread(probabilities, self.grid, bars.spread if bars else 1.0)
@@ -187,15 +182,12 @@ class Instrument:
         pose : ndarray, shape (4,), optional
             How the camera stands (`slipstitch.images.camera.POSE`); as calibrated by default.
 
-        Raises
-        ------
-        BadInput
-            If the array is of another shape or type.
+        BadInput if the array is of another shape or type.
         """
         video = self._fitted(frames)[None]
         poses = None if pose is None else np.asarray(pose)[None]
         answers = self.answers(video, generator or np.random.default_rng(0), poses)
-        distribution = self.distributions(answers)
+        distribution = self.distributions(answers.probabilities)
         median, low, high = self.intervals(distribution)[0]
         bars = self.error_bars
         logits = answers.material_logits[0] / (bars.material_temperature if bars else 1.0)
@@ -266,7 +258,7 @@ def _answer(network: InstrumentNetwork, outputs: dict[str, torch.Tensor]) -> dic
     return answer
 
 
-def save_instrument(instrument: Instrument, folder: str | os.PathLike) -> dict[str, Any]:
+def save_instrument(instrument: Instrument, folder: str | Path) -> dict[str, Any]:
     """Write ``instrument.safetensors`` and ``instrument.json``; the card as written.
 
     Several networks are stored as `halved`, which must be done before they are calibrated.
@@ -322,7 +314,7 @@ class _Card(BaseModel):
     networks: int = Field(1, ge=1, le=NETWORKS_MAX)
 
 
-def load_instrument(path: str | os.PathLike) -> Instrument:
+def load_instrument(path: str | Path) -> Instrument:
     """Read an instrument that `save_instrument` wrote: its folder, or one of the two files in it.
 
     BadInput if a file is missing, is of another kind, or is not as it was written.

@@ -145,17 +145,10 @@ class InstrumentNetwork(nn.Module):
     def forward(
         self, frames: Tensor, bfloat16: bool = False, poses: Tensor | None = None
     ) -> dict[str, Tensor]:
-        """Answers of a batch.
+        """Answers for a batch of standardised frames (videos, frames, pixels, pixels, 3).
 
-        Parameters
-        ----------
-        frames : float32 tensor, shape (videos, frames, pixels, pixels, 3)
-            Standardised colours.
-        bfloat16 : bool
-            Compute the convolutions in bfloat16; the rest stays float32.
-        poses : float32 tensor, shape (videos, 4), optional
-            As `poses.scaled` gives them; used if the network knows poses, and
-            then 0, the calibrated one, by default.
+        With `bfloat16` the convolutions compute in bfloat16. Poses (videos, 4) as `poses.scaled`
+        gives them are used if the network knows poses; 0, the calibrated one, by default.
 
         Returns
         -------

@@ -6,8 +6,6 @@ for them (`slipstitch.learning.instrument.conformal`).
 """
 
 import math
-import os
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -40,67 +38,53 @@ READINGS_SCHEMA = pa.schema(
 )
 
 
-@dataclass(frozen=True)
-class CalibrationReadings:
-    """Readings with the conformal scales at which their intervals just hold."""
-
-    rows: list[dict[str, Any]]  # as `READINGS_SCHEMA`
-
-    @property
-    def groups(self) -> list[str]:
-        """Return the simulation of each, told apart from those of other sources."""
-        return [f"{row['source']} {row['simulation']}" for row in self.rows]
-
-    @property
-    def noted(self) -> list[dict[str, Any]]:
-        """Return for each source its digest, and the numbers of its videos and simulations."""
-        return [
-            {
-                "digest": source,
-                "videos": len(own),
-                "simulations": len({row["simulation"] for row in own}),
-            }
-            for source in dict.fromkeys(row["source"] for row in self.rows)
-            for own in [[row for row in self.rows if row["source"] == source]]
-        ]
-
-    @property
-    def known(self) -> set[str]:
-        """Return the digests of their sources, and of the datasets that these are of."""
-        return {row[name] for row in self.rows for name in ("source", "dataset") if row[name]}
-
-    def table(self) -> pa.Table:
-        """Return the readings as `READINGS` keeps them."""
-        return pa.Table.from_pylist(self.rows, schema=READINGS_SCHEMA)
+#: Rows as `READINGS_SCHEMA`, with the conformal scales at which their intervals just hold.
+Readings = list[dict[str, Any]]
 
 
-def readings_on(instrument: Instrument, videos: Videos) -> CalibrationReadings:
+def groups_of(readings: Readings) -> list[str]:
+    """Return the simulation of each, told apart from those of other sources."""
+    return [f"{row['source']} {row['simulation']}" for row in readings]
+
+
+def sources_of(readings: Readings) -> list[dict[str, Any]]:
+    """Return for each source its digest, and the numbers of its videos and simulations."""
+    return [
+        {
+            "digest": source,
+            "videos": len(own),
+            "simulations": len({row["simulation"] for row in own}),
+        }
+        for source in dict.fromkeys(row["source"] for row in readings)
+        for own in [[row for row in readings if row["source"] == source]]
+    ]
+
+
+def readings_on(instrument: Instrument, videos: Videos) -> Readings:
     """Return what a calibrated instrument reads of the videos of a dataset."""
     frames = phased(videos.pixels, instrument.card["frames"], None)
     answers = instrument.answers(frames, np.random.default_rng(0), poses_of(videos.rows))
-    distributions = instrument.distributions(answers)
+    distributions = instrument.distributions(answers.probabilities)
     friction = np.array([row["friction"] for row in videos.rows])
     scores = instrument.needed_scale(distributions, friction)
-    return CalibrationReadings(
-        [
-            {
-                "source": videos.digest,
-                "dataset": videos.digest,
-                "simulation": row["simulation"],
-                "friction": row["friction"],
-                "reading": float(reading),
-                "low": float(low),
-                "high": float(high),
-                "stretch": float(score),
-            }
-            for row, (reading, low, high), score in zip(
-                videos.rows, instrument.intervals(distributions), scores, strict=True
-            )
-        ]
-    )
+    return [
+        {
+            "source": videos.digest,
+            "dataset": videos.digest,
+            "simulation": row["simulation"],
+            "friction": row["friction"],
+            "reading": float(reading),
+            "low": float(low),
+            "high": float(high),
+            "stretch": float(score),
+        }
+        for row, (reading, low, high), score in zip(
+            videos.rows, instrument.intervals(distributions), scores, strict=True
+        )
+    ]
 
 
-def read_readings(path: str | os.PathLike, instrument: Instrument) -> CalibrationReadings:
+def read_readings(path: str | Path, instrument: Instrument) -> Readings:
     """Return the readings by an instrument that a JSON file lists, as those of studies do.
 
     The file is a mapping with ``readings``: a list of mappings with at least the `COLUMNS`.
@@ -137,12 +121,10 @@ def read_readings(path: str | os.PathLike, instrument: Instrument) -> Calibratio
     }
     # The intervals are scaled already.
     scale = instrument.conformal_scale
-    return CalibrationReadings(
-        [
-            of_file | row | {"stretch": float(score * scale)}
-            for row, score in zip(found, scores, strict=True)
-        ]
-    )
+    return [
+        of_file | row | {"stretch": float(score * scale)}
+        for row, score in zip(found, scores, strict=True)
+    ]
 
 
 def _checked(row: dict[str, Any], where: str, largest: float) -> dict[str, Any]:
@@ -174,7 +156,7 @@ def _is_number(value: Any) -> bool:
         return False
 
 
-def _check_of(path: str | os.PathLike, content: dict[str, Any], instrument: Instrument) -> None:
+def _check_of(path: str | Path, content: dict[str, Any], instrument: Instrument) -> None:
     """BadInput unless the readings are of the instrument, with the error bars that it has."""
     weights = instrument.card["weights_sha256"]
     named = content.get("weights_sha256")
@@ -189,8 +171,7 @@ def _check_of(path: str | os.PathLike, content: dict[str, Any], instrument: Inst
         )
 
 
-def kept_readings(folder: str | os.PathLike) -> CalibrationReadings:
+def kept_readings(folder: str | Path) -> Readings:
     """Return those that calibrated an average; none where its folder has no such file."""
     path = Path(folder) / READINGS
-    found = read_parquet(path, READINGS_SCHEMA.names).to_pylist() if path.is_file() else []
-    return CalibrationReadings(found)
+    return read_parquet(path, READINGS_SCHEMA.names).to_pylist() if path.is_file() else []

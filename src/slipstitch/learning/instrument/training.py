@@ -254,29 +254,21 @@ class InstrumentLearner(Learner):
         if not len(numbers):
             return {f"validation_{name}": math.nan for name in names}
         self.network.eval()
-        scores, errors, hits, off = [], [], [], []
-        known = self.labels[numbers] != UNKNOWN
+        parts: dict[str, list[Tensor]] = {name: [] for name in names}
         with torch.inference_mode():
             for batch in np.array_split(numbers, -(-len(numbers) // 8)):
                 views = standardised(phased(self.pixels[batch], self.frames, None))
                 outputs = self.network(views, self.bfloat16, self.poses[batch])
                 cumulative = mixture_cumulative(outputs["friction"], self.network.middles)
-                truth, grid = self.friction[batch], self.network.grid
-                scores.append(ranked_probability_score(cumulative, truth, grid))
-                errors.append((medians(cumulative, grid) - truth).abs())
-                hits.append((outputs["material"].argmax(1) == self.labels[batch]).float())
+                truth, grid, labels = self.friction[batch], self.network.grid, self.labels[batch]
+                parts["loss"].append(ranked_probability_score(cumulative, truth, grid))
+                parts["error"].append((medians(cumulative, grid) - truth).abs())
+                right = outputs["material"].argmax(1) == labels
+                parts["accuracy"].append(right[labels != UNKNOWN].float())
                 if self.points is not None:
-                    wanted = phased(self.points[batch], self.frames, None)
-                    off.append(
-                        keypoint_errors(self.network, outputs["points"] - wanted).mean((1, 2, 3))
-                    )
-        found = [torch.cat(scores), torch.cat(errors), torch.cat(hits)[known]]
-        if off:
-            found.append(torch.cat(off))
-        return {
-            f"validation_{name}": float(each.mean())
-            for name, each in zip(names, found, strict=True)
-        }
+                    off = outputs["points"] - phased(self.points[batch], self.frames, None)
+                    parts["points"].append(keypoint_errors(self.network, off).mean((1, 2, 3)))
+        return {f"validation_{name}": float(torch.cat(each).mean()) for name, each in parts.items()}
 
     def summary(self, row: dict[str, Any]) -> str:
         """Errors, validation loss, and share of fabrics that are right."""
@@ -293,16 +285,8 @@ def train_instrument(
 
     The validation videos calibrate the error bars and the alarm. Where the dataset has more
     than `run.frames` frames, they are seen at a random phase in training. All viewpoints are
-    seen in the calibrated view.
-
-    Raises
-    ------
-    BadInput
-        If dataset or arguments do not fit.
-    PlateauError
-        If the loss of the last epoch is not below chance by `settings.plateau_margin`.
-    DivergedError
-        If the loss is not finite.
+    seen in the calibrated view. BadInput if dataset or arguments do not fit; else as
+    `Trainer.train`.
     """
     started = start_clock()
     set_up_torch(run.threads)
