@@ -60,7 +60,7 @@ def plain(y, down):
 
 
 def start_of(moments, lens):
-    return find_start(moments, lens, SCHEDULE.crop(0.0), SCHEDULE.path)
+    return find_start(moments, lens, SCHEDULE)
 
 
 def test_the_edge_of_a_bright_floor_behind_the_cloth_does_not_hide_the_start(monkeypatch):

@@ -49,7 +49,7 @@ def follower_of(
 ):
     """Has seen a film of the stage; its clock shows `clock` of the true time."""
     schedule = Schedule.of(CONFIG.simulation, CONFIG.render, CONFIG.sample, viewpoint)
-    follower = StageFollower(lens(viewpoint), schedule.crop(0.0), schedule.path)
+    follower = StageFollower(lens(viewpoint), schedule)
     random = np.random.default_rng(4)
     for time_s in chosen(follower, until_s):
         image = seen(bench(viewpoint).image(clock(rate * time_s)), time_s)[..., ::-1]
@@ -128,7 +128,7 @@ def test_a_film_of_a_stage_that_stops_is_refused(tmp_path):
 
 
 def test_a_stage_out_of_sight_tells_nothing():
-    follower = StageFollower(lens(), SCHEDULE.crop(0.0), SCHEDULE.path)
+    follower = StageFollower(lens(), SCHEDULE)
     random = np.random.default_rng(5)
     for time_s in chosen(follower, 100.0):
         follower.add(time_s, random.integers(0, 255, (240, 320, 3), dtype=np.uint8))

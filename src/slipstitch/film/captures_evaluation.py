@@ -1,6 +1,5 @@
 """Trained models on captures, real or surrogate: predictions, scores, page."""
 
-import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -57,7 +56,7 @@ _DASHES = {"all": "-", "matte": "--", "reflective": ":"}
 _FRAMES_SHOWN = 10
 
 
-def predict_captures(dataset: str | os.PathLike, trained: Trained) -> list[dict[str, Any]]:
+def predict_captures(dataset: str | Path, trained: Trained) -> list[dict[str, Any]]:
     """Return the predictions of all trained models for all captures, a row each.
 
     Of what `slipstitch capture ingest` wrote. BadInput if there is no model, two were trained
@@ -112,11 +111,11 @@ def predict_captures(dataset: str | os.PathLike, trained: Trained) -> list[dict[
 
 
 def write_captures_evaluation(
-    dataset: str | os.PathLike,
+    dataset: str | Path,
     trained: Trained,
-    out: str | os.PathLike,
-    predictions_out: str | os.PathLike,
-    page_out: str | os.PathLike | None = None,
+    out: str | Path,
+    predictions_out: str | Path,
+    page_out: str | Path | None = None,
     threads: int = 1,
 ) -> dict[str, Any]:
     """Evaluate on captures; write scores (JSON), predictions (Parquet) and the page."""

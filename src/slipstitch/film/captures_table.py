@@ -48,11 +48,10 @@ class Capture:
         return self.id.split("_")[0]
 
 
-def read_references(path: str | os.PathLike) -> dict[tuple[str, str], tuple[float, float]]:
+def read_references(path: str | Path) -> dict[tuple[str, str], tuple[float, float]]:
     """(material, substrate) -> (mu, error) of what `slipstitch capture reference` wrote as CSV."""
-    friction = number(0, LARGEST_FRICTION)
-    columns = [TableColumn("material", name), TableColumn("substrate", name)]
-    columns += [TableColumn("mu", friction), TableColumn("error", friction)]
+    columns = [TableColumn(title, name) for title in ("material", "substrate")]
+    columns += [TableColumn(title, number(0, LARGEST_FRICTION)) for title in ("mu", "error")]
     others = ("standard_error", "position_sd", "bench_error", "positions", "orientations",
               "measurements", "position_p", "orientation_p")  # fmt: skip
     columns += [TableColumn(title, number(), needed=False, may_be_empty=True) for title in others]
@@ -60,14 +59,12 @@ def read_references(path: str | os.PathLike) -> dict[tuple[str, str], tuple[floa
     for row in read_table(path, columns):
         key = (row["material"], row["substrate"])
         if key in found:
-            raise BadInput(f"{path} line {row['line']}: {_words(key)} is duplicated")
+            raise BadInput(f"{path} line {row['line']}: {' on '.join(key)} is duplicated")
         found[key] = (row["mu"], row["error"])
     return found
 
 
-def read_captures(
-    path: str | os.PathLike, reference: str | os.PathLike | None = None
-) -> list[Capture]:
+def read_captures(path: str | Path, reference: str | Path | None = None) -> list[Capture]:
     """The captures of a table, in its order.
 
     Paths in it are relative to its folder and stay below it. Empty cells of mu_ref and its
@@ -98,7 +95,7 @@ def read_captures(
     captures: list[Capture] = []
     for row in rows:
         key = (row["material"], row["substrate"])
-        _fill(row, key, known, path, reference)
+        _fill(row, known, path, reference)
         pair = pairs.setdefault(key, f"c{len(pairs):02d}")
         fields = {title: row[title] for title in row if title != "line"}
         fields["surrogate"] = bool(fields["surrogate"])
@@ -109,7 +106,7 @@ def read_captures(
     return captures
 
 
-def files_named(path: str | os.PathLike) -> list[str]:
+def files_named(path: str | Path) -> list[str]:
     """Videos and camera files of a table that are there; what is wrong, `read_captures` says."""
     try:
         table = read_cells(path, ("video", "camera", "material"), math.inf)
@@ -125,18 +122,13 @@ def files_named(path: str | os.PathLike) -> list[str]:
     return sorted(file for file in named if os.path.isfile(file))
 
 
-def _words(key: tuple[str, str]) -> str:
-    return f"{key[0]} on {key[1]}"
-
-
-def _fill(row: dict[str, Any], key, known, path, reference) -> None:
+def _fill(row: dict[str, Any], known, path, reference) -> None:
+    where, key = f"{path} line {row['line']}", (row["material"], row["substrate"])
     if (row["mu_ref"] is None) != (row["mu_ref_error"] is None):
-        raise BadInput(f"{path} line {row['line']}: mu_ref and mu_ref_error must be given together")
+        raise BadInput(f"{where}: mu_ref and mu_ref_error must be given together")
     if row["mu_ref"] is None:
         if key not in known:
-            raise BadInput(
-                f"{path} line {row['line']}, mu_ref: empty, and {reference} has no {_words(key)}"
-            )
+            raise BadInput(f"{where}, mu_ref: empty, and {reference} has no {' on '.join(key)}")
         row["mu_ref"], row["mu_ref_error"] = known[key]
 
 

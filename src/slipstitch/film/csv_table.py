@@ -2,7 +2,6 @@
 
 import difflib
 import math
-import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -78,7 +77,7 @@ def yes_or_no(cell: str) -> bool:
     return cell.lower() == "yes"
 
 
-def file_below(folder: str | os.PathLike) -> Callable[[str], Path]:
+def file_below(folder: str | Path) -> Callable[[str], Path]:
     """Reader of names of files in a folder, or below; no path leads out of it."""
 
     def read(cell: str) -> Path:
@@ -95,7 +94,7 @@ def file_below(folder: str | os.PathLike) -> Callable[[str], Path]:
     return read
 
 
-def read_table(path: str | os.PathLike, columns: Sequence[TableColumn]) -> list[dict[str, Any]]:
+def read_table(path: str | Path, columns: Sequence[TableColumn]) -> list[dict[str, Any]]:
     """Read the rows of a CSV file that may have these columns, in whichever dialect it is written.
 
     Column -> value; ``line`` is the row's number in the file. A column that is not there is

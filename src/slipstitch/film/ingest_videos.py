@@ -1,6 +1,5 @@
 """Captures as a dataset: the same files as for simulated videos, and the data on each video."""
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ from slipstitch.config import Config
 from slipstitch.config.catalogue import fabric_names
 from slipstitch.dataset.images import pixels_digest, write_frames
 from slipstitch.dataset.manifest import dataset_digest, read_manifest, write_manifest
+from slipstitch.dataset.videos import ROLES
 from slipstitch.design.grid import material_id
 from slipstitch.film.captures_table import Capture, read_captures
 from slipstitch.film.frame_schedule import Schedule
@@ -44,9 +44,9 @@ _TEXTURE, _VIEW = "t00", "v00"
 
 def ingest(
     config: Config,
-    table: str | os.PathLike,
-    out_dir: str | os.PathLike,
-    reference: str | os.PathLike | None = None,
+    table: str | Path,
+    out_dir: str | Path,
+    reference: str | Path | None = None,
     progress=iter,
 ) -> list[dict[str, Any]]:
     """Bring the videos of a captures table into a dataset; return the rows of ``captures.parquet``.
@@ -135,11 +135,7 @@ def _write_video(
         "friction": capture.mu_ref,
         "texture": "its own",
         "viewpoint": "calibrated",
-        "material_role": "test",
-        "friction_role": "test",
-        "texture_role": "test",
-        "viewpoint_role": "test",
-        "floor_role": "test",
+        **dict.fromkeys([f"{kind}_role" for kind in ROLES], "test"),
         "viewpoint_turn_deg": 0.0,
         **{f"pose_{name}": value for name, value in video.pose.items()},
         "floor": capture.substrate,
@@ -168,7 +164,7 @@ def _known(capture: Capture, video: StageVideo) -> dict[str, Any]:
     }
 
 
-def read_known(dataset: str | os.PathLike) -> list[dict[str, Any]]:
+def read_known(dataset: str | Path) -> list[dict[str, Any]]:
     """Rows of ``captures.parquet``, by video; BadInput if they are of another dataset."""
     path = Path(dataset) / CAPTURES
     rows = read_parquet(path, CAPTURES_SCHEMA.names).to_pylist()

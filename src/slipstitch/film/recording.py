@@ -3,7 +3,6 @@
 import functools
 import itertools
 import math
-import os
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,29 +45,15 @@ class FrameIndex:
 
 
 class Recording:
-    """A video file.
+    """A video file; BadInput if there is no such file, or it is not a video.
 
-    Parameters
-    ----------
-    frame_rate_hz : float, optional
-        Of the camera: frame k is at k / this. By default each frame's own time is taken.
-
-    Attributes
-    ----------
-    size_px : tuple of int
-        Width, height, as the sensor has it: no orientation tag is followed.
-    rotation_deg : int
-        By how much a player turns the film, as its orientation tag says.
-    frames_claimed : int
-        By the file's header, which may be wrong.
-
-    Raises
-    ------
-    BadInput
-        If there is no such file, or it is not a video.
+    With a `frame_rate_hz` of the camera, frame k is at k / this; by default each frame's own
+    time is taken. `size_px` is width and height as the sensor has it, whatever the orientation
+    tag says, by which a player turns the film by `rotation_deg`; `frames_claimed` is what the
+    file's header says.
     """
 
-    def __init__(self, path: str | os.PathLike, frame_rate_hz: float | None = None):
+    def __init__(self, path: str | Path, frame_rate_hz: float | None = None):
         self.path, self.frame_rate_hz = Path(path), frame_rate_hz
         if not self.path.is_file():
             missing = "is a folder; must be a video" if self.path.is_dir() else "no such file"

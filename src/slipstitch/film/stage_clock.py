@@ -81,16 +81,14 @@ class TimeBase:
 
 
 class StageFollower:
-    """Finds the cloth's upper edge along the track, frame by frame.
+    """Finds the cloth's upper edge along the track, frame by frame."""
 
-    Of the real camera, and the calibrated viewpoint's crop at the start.
-    """
-
-    def __init__(self, lens: Camera, crop: Camera, path: StagePath):
+    def __init__(self, lens: Camera, schedule: Schedule):
+        path = schedule.path
         height = path.start_height_m - path.drop_m
         rows = np.arange(_ABOVE_M, -_BELOW_M, -_GRID_M)
         columns = np.arange(-_HALF_WIDTH_M, _HALF_WIDTH_M, _GRID_M)
-        points = in_stage_plane(crop, columns[None, :], (height + rows)[:, None])
+        points = in_stage_plane(schedule.crop(0.0), columns[None, :], (height + rows)[:, None])
         self._path = path
         reach_m = self._reach_m(path.duration_s)
         self._x_m = np.arange(-reach_m, path.stroke_m + reach_m, _GRID_M)

@@ -79,15 +79,9 @@ class _Strip:
     """The upright plane around the clamps as a small metric image, row 0 on top."""
 
     def __init__(
-        self,
-        lens: Camera,
-        crop: Camera,
-        path: StagePath,
-        half_width_m: float,
-        above_m: float,
-        below_m: float,
+        self, lens: Camera, schedule: Schedule, half_width_m: float, above_m: float, below_m: float
     ):
-        height = path.start_height_m
+        height = schedule.path.start_height_m
         clamps = np.array([[0.0, 0.0, height], [0.0, 0.0, height - 0.01]])
         sinking = float(np.linalg.norm(np.diff(lens.project(clamps), axis=0)))
         self.pixel_m = max(0.01 / max(sinking, 1.0) / _OVERSAMPLING, _FINEST_M)
@@ -96,7 +90,7 @@ class _Strip:
         half = round((half_width_m + _ASIDE_M) / self.pixel_m)
         row, column = np.mgrid[:rows, : 2 * half + 1]
         sideways = (column - half) * self.pixel_m
-        points = in_stage_plane(crop, sideways, top - row * self.pixel_m)
+        points = in_stage_plane(schedule.crop(0.0), sideways, top - row * self.pixel_m)
         place = lens.project(points.reshape(-1, 3)).reshape(rows, 2 * half + 1, 2)
         self.map = place.astype(np.float32)
         self.up, self.aside = round(_UP_M / self.pixel_m), round(_ASIDE_M / self.pixel_m)
@@ -133,15 +127,13 @@ def vertex_of_parabola(before: np.ndarray, at: np.ndarray, after: np.ndarray) ->
         return np.where(curvature < 0, 0.5 * (before - after) / curvature, 0.0)
 
 
-def find_start(
-    moments: Iterable[Moment], lens: Camera, crop: Camera, path: StagePath
-) -> StageStart | None:
+def find_start(moments: Iterable[Moment], lens: Camera, schedule: Schedule) -> StageStart | None:
     """Time at which the stage starts to descend; None if it never does.
 
     The cloth hangs still for 2 s at least before the start. No more than some seconds of small
-    images are kept. `crop` is the calibrated viewpoint's at the start.
+    images are kept.
     """
-    search = Search(lens, crop, path)
+    search = Search(lens, schedule)
     for moment in moments:
         if search.add(moment.time_s, moment.image):
             break
@@ -151,8 +143,9 @@ def find_start(
 class Search:
     """A search for the start of the stage's motion, frame by frame; as `find_start`."""
 
-    def __init__(self, lens: Camera, crop: Camera, path: StagePath):
-        self._followers = [_Follower(_Strip(lens, crop, path, *size), path) for size in _STRIPS_M]
+    def __init__(self, lens: Camera, schedule: Schedule):
+        strips = (_Strip(lens, schedule, *size) for size in _STRIPS_M)
+        self._followers = [_Follower(strip, schedule.path) for strip in strips]
         self._last_s = -np.inf
 
     def add(self, time_s: float, image: Callable[[], np.ndarray]) -> bool:
@@ -242,7 +235,7 @@ def _fit(
 
 def found_start(recording: Recording, lens: Camera, schedule: Schedule) -> StageStart:
     """Return the start of the stage's motion; BadInput, with the likeliest cause, if none."""
-    start = find_start(recording.moments(), lens, schedule.crop(0.0), schedule.path)
+    start = find_start(recording.moments(), lens, schedule)
     if start is not None and start.speed_is_right:
         return start
     _check_stated_rate(recording, lens, schedule)
@@ -293,7 +286,7 @@ def _check_stated_rate(recording: Recording, lens: Camera, schedule: Schedule) -
     by_itself = Recording(recording.path)
     own = None
     with contextlib.suppress(BadInput):  # its times are none, or start again
-        own = find_start(by_itself.moments(), lens, schedule.crop(0.0), schedule.path)
+        own = find_start(by_itself.moments(), lens, schedule)
     if own is not None and own.speed_is_right:
         _, share = _rate_and_repeats(by_itself, own.time_s)
         why = ", in which frames are repeated" if share >= _LEAST_REPEATS else ""
@@ -306,9 +299,8 @@ def _check_stated_rate(recording: Recording, lens: Camera, schedule: Schedule) -
 
 def _other_start(recording: Recording, lens: Camera, schedule: Schedule) -> tuple[int, float, bool]:
     """How many times slower a start is seen (0: not), when, and whether upside down."""
-    crop, path = schedule.crop(0.0), schedule.path
-    slowed = {factor: Search(lens, crop, path) for factor in _SLOWED}
-    turned = Search(lens, crop, path)
+    slowed = {factor: Search(lens, schedule) for factor in _SLOWED}
+    turned = Search(lens, schedule)
     for moment in recording.moments():
         for factor, search in slowed.items():
             is_over = search.add(moment.time_s / factor, moment.image)
@@ -345,7 +337,7 @@ def start_is_seen(recording: Recording, lens: Camera, schedule: Schedule, start_
     A film may show another start before the one that counts.
     """
     moments, seen_s = recording.moments(), []
-    while found := find_start(moments, lens, schedule.crop(0.0), schedule.path):
+    while found := find_start(moments, lens, schedule):
         if found.speed_is_right:
             seen_s.append(found.time_s)
         if found.time_s > start_s:

@@ -1,8 +1,8 @@
 """From a video of the bench to the input frames of a network."""
 
-import os
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
@@ -53,7 +53,7 @@ class StageVideo:
 
 
 def read_stage_video(
-    path: str | os.PathLike,
+    path: str | Path,
     lens: Camera,
     schedule: Schedule,
     *,
@@ -86,7 +86,7 @@ def read_stage_video(
         recording,
         schedule.time_s,
         start.time_s,
-        lambda: StageFollower(lens, schedule.crop(0.0), schedule.path) if followed else None,
+        lambda: StageFollower(lens, schedule) if followed else None,
     )
     time_base = follower.time_base() if follower else None
     if follower and (still_s := follower.still_from_s(time_base)) is not None:

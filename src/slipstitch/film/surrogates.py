@@ -5,7 +5,6 @@ on: a calibrated camera with its errors, slip angles, a table of videos. A video
 rendered, distorted by a lens, exposed and compressed.
 """
 
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from fractions import Fraction
@@ -206,7 +205,7 @@ def captures_rows(config: Config) -> list[dict]:
     ]
 
 
-def write_bench(config: Config, folder: str | os.PathLike) -> None:
+def write_bench(config: Config, folder: str | Path) -> None:
     """Write ``camera.json``, ``slip_angles.csv`` and ``captures.csv``; the videos come later."""
     started = start_clock()
     folder = Path(folder)
@@ -225,7 +224,7 @@ def write_bench(config: Config, folder: str | os.PathLike) -> None:
             pandas.DataFrame(rows).to_csv(temporary, index=False)
 
 
-def make_film(config: Config, film: Film, out: str | os.PathLike, progress=iter) -> int:
+def make_film(config: Config, film: Film, out: str | Path, progress=iter) -> int:
     """Simulate and render one capture as an MP4 file; return its number of frames.
 
     Raises
