@@ -15,7 +15,6 @@ from slipstitch.base.provenance import read_provenance
 from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.config.catalogue import VIEWPOINTS
-from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.config.train import TrainSettings
 from slipstitch.film.captures_evaluation import write_captures_evaluation
 from slipstitch.film.captures_scores import capture_scores, distance, subsets
@@ -138,9 +137,7 @@ def bench(tmp_path_factory):
             config.render.viewpoints,
             material_model=material if network == "friction_conditional" else None,
         )
-    instrument = untrained_instrument(
-        InstrumentSettings(channels=[8, 8, 8], draws=1), ["denim", "felt"], 32, frames=6
-    )
+    instrument = untrained_instrument()
     of_dataset = load_model(networks / "friction_baseline" / "seed0").card["dataset_digest"]
     instrument.card.update(split="by_simulation", dataset_digest=of_dataset)
     save_instrument(instrument, folder / "instrument" / "by_simulation" / "seed0")
@@ -239,9 +236,7 @@ def test_models_of_an_earlier_configuration_do_not_count(bench, tmp_path, monkey
 
 
 def test_models_of_different_datasets_do_not_stand_beside_one_another(bench, tmp_path):
-    other = untrained_instrument(
-        InstrumentSettings(channels=[8, 8, 8], draws=1), ["denim", "felt"], 32, frames=6
-    )
+    other = untrained_instrument()
     other.card.update(split="by_simulation", dataset_digest="00" * 32)
     save_instrument(other, tmp_path / "by_simulation" / "seed0")
     with pytest.raises(BadInput, match="seed 0 were trained on different datasets"):

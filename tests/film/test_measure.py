@@ -19,7 +19,6 @@ from slipstitch.cli.main import main
 from slipstitch.cli.measure import ALARM_EXIT_CODE
 from slipstitch.config import resolve_config, write_config
 from slipstitch.config.catalogue import VIEWPOINTS
-from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.design.stage_path import StagePath
 from slipstitch.film.measure.measurement_files import MeasuredPair, names_of
 from slipstitch.film.measure.measuring_bench import _half_width, measuring_bench
@@ -52,10 +51,7 @@ def bench(tmp_path_factory):
     write_config(other, folder / "other.json")
     (folder / "link.mp4").symlink_to(folder / "video.mp4")
     shutil.copy(folder / "video.mp4", folder / "copy.mp4")
-    instrument = untrained_instrument(
-        InstrumentSettings(channels=[8, 8, 8], draws=1), ["denim", "felt"], 64, frames=6
-    )
-    save_instrument(instrument, folder / "results" / "instrument" / "seed0")
+    save_instrument(untrained_instrument(64), folder / "results" / "instrument" / "seed0")
     return folder
 
 
@@ -101,12 +97,9 @@ def test_result_numbers_and_page(bench, capsys):
 
 
 def test_the_page_shows_where_the_instrument_sees_the_cloth(bench):
-    settings = InstrumentSettings(
-        channels=[8, 8, 8], draws=1, points_weight=1.0, through_points=True
-    )
     model = bench / "points" / "instrument" / "seed0"
     write_config(CONFIG, bench / "points" / "config.json")
-    instrument = untrained_instrument(settings, ["denim", "felt"], 64, frames=6)
+    instrument = untrained_instrument(64, points_weight=1.0, through_points=True)
     # Says of every frame: a point 5 cm below the clamps, 9 times.
     instrument.networks[0].points_mean_m.copy_(torch.tensor([0.0, 0.0, PATH.start_height_m - 0.05]))
     instrument.networks[0].points_spread_m.fill_(1e-9)
@@ -204,8 +197,7 @@ def test_repeats_of_a_pair_are_measured_one_by_one_and_together(bench, tmp_path,
 def test_repeats_have_no_combined_interval_where_the_instrument_has_no_error_bar(
     bench, tmp_path, capsys
 ):
-    settings = InstrumentSettings(channels=[8, 8, 8], draws=1)
-    instrument = untrained_instrument(settings, ["denim", "felt"], 64, frames=6)
+    instrument = untrained_instrument(64)
     instrument.card["calibration_simulations"] = 4
     width = 2 * RECURRENT_UNITS
     parts = np.zeros((4, 6 * 144)), np.ones(4), np.zeros(width), np.eye(width)

@@ -13,7 +13,6 @@ from slipstitch.base.provenance import read_sidecar
 from slipstitch.cli.main import main
 from slipstitch.config import resolve_config, write_config
 from slipstitch.config.catalogue import Viewpoint
-from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.film.measure.camera_check import check_camera, check_figure
 from slipstitch.film.measure.measuring_bench import measuring_bench
 from slipstitch.images.camera import pose
@@ -33,27 +32,21 @@ FAMILY = {
 def bench(tmp_path_factory):
     folder = tmp_path_factory.mktemp("check")
     write_config(CONFIG, folder / "config.json")
-    settings = InstrumentSettings(channels=[8, 8, 8], draws=1, knows_pose=True)
-    instrument = untrained_instrument(settings, ["denim", "felt"], 64, frames=6)
+    instrument = untrained_instrument(64, knows_pose=True)
     instrument.card["pose_range"] = FAMILY
     save_instrument(instrument, folder / "instrument")
-    for name, viewpoint in (
-        ("inside", Viewpoint(52.0, 20.0, 1.5)),
-        ("edge", Viewpoint(57.0, 24.0, 1.4)),
-        ("aside", Viewpoint(65.0, 24.0, 1.4)),
-        ("far", Viewpoint(40.0, 24.0, 2.4)),
-    ):
-        stage.camera_file(stage.lens_camera(*pose(viewpoint)), folder / f"{name}.json")
-    rotation, translation_m = pose(Viewpoint(40.0, 24.0, 1.4))
+    place = pose(Viewpoint(40.0, 24.0, 1.4))
     turn, _ = cv2.Rodrigues(np.array([0.0, np.pi, 0.0]))
-    panned = stage.lens_camera(turn @ rotation, turn @ translation_m)
-    stage.camera_file(panned, folder / "panned_away.json")
-    stage.camera_file(
-        stage.lens_camera(rotation, translation_m, focal_px=5000.0), folder / "long_focus.json"
-    )
-    stage.camera_file(
-        stage.lens_camera(rotation, translation_m, focal_px=35.0), folder / "focal_mm.json"
-    )
+    for name, lens in {
+        "inside": stage.lens_camera(*pose(Viewpoint(52.0, 20.0, 1.5))),
+        "edge": stage.lens_camera(*pose(Viewpoint(57.0, 24.0, 1.4))),
+        "aside": stage.lens_camera(*pose(Viewpoint(65.0, 24.0, 1.4))),
+        "far": stage.lens_camera(*pose(Viewpoint(40.0, 24.0, 2.4))),
+        "panned_away": stage.lens_camera(*(turn @ part for part in place)),
+        "long_focus": stage.lens_camera(*place, focal_px=5000.0),
+        "focal_mm": stage.lens_camera(*place, focal_px=35.0),
+    }.items():
+        stage.camera_file(lens, folder / f"{name}.json")
     return folder
 
 
@@ -67,18 +60,14 @@ def check(bench, name, *words):
     return main(["capture", "check", str(bench / f"{name}.json"), *model, *words])
 
 
-def test_a_camera_inside_the_family_is_told_so(bench, capsys):
-    assert check(bench, "inside", "--picture", str(bench / "check.png")) == 0
+def test_a_camera_inside_the_family_is_told_so_and_drawn_with_its_record(bench, capsys):
+    picture = bench / "new" / "check.png"
+    assert check(bench, "inside", "--picture", str(picture)) == 0
     said = capsys.readouterr().out
     assert "rotation about the vertical +12 degrees (trained on -15 ... +15)" in said
     assert "sees 100 % of the crop, at the worst time of the protocol" in said
     assert "OUTSIDE" not in said
-    assert (bench / "check.png").stat().st_size > 10_000
-
-
-def test_the_picture_is_written_into_a_new_folder_with_its_record(bench):
-    picture = bench / "new" / "check.png"
-    assert check(bench, "inside", "--picture", str(picture)) == 0
+    assert picture.stat().st_size > 10_000
     names = {Path(name).name for name in read_sidecar(picture)["inputs"]}
     assert names == {"inside.json", "config.json", "instrument.json"}
 
@@ -163,8 +152,7 @@ def test_the_range_is_that_of_the_videos():
 
 
 def test_the_pose_reaches_the_network():
-    settings = InstrumentSettings(channels=[8, 8, 8], draws=1, knows_pose=True)
-    instrument = untrained_instrument(settings, ["denim", "felt"], 32, frames=6)
+    instrument = untrained_instrument(knows_pose=True)
     frames = np.random.default_rng(0).integers(0, 255, (6, 32, 32, 3), dtype=np.uint8)
     answers = {
         yaw: instrument.measure(frames, pose=np.array([yaw, 0, 0, 0])).distribution[1]

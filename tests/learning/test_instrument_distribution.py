@@ -120,7 +120,7 @@ def test_intervals_cover_new_groups_as_promised_and_not_much_more():
 def test_stretched_intervals_reach_the_truths_they_were_stretched_for():
     means, truth = np.array([0.4, 0.7, 1.0]), np.array([0.45, 0.4, 1.05])
     shares = np.concatenate([probabilities_on_grid(cumulative_of(m, 0.03).numpy()) for m in means])
-    factors = conformal_scales(shares, GRID, 0.9, truth)
+    factors = conformal_scales(conformal_intervals(shares, GRID, 0.9, 1.0), truth)
     for row, factor in enumerate(factors):
         _, low, high = conformal_intervals(shares, GRID, 0.9, factor)[row]
         assert min(abs(low - truth[row]), abs(high - truth[row])) < 1e-9

@@ -20,7 +20,12 @@ from slipstitch.learning.evaluation.trained import Trained
 from slipstitch.learning.instrument.augmentation import phased
 from slipstitch.learning.instrument.calibration import ANSWERS, read_answers
 from slipstitch.learning.instrument.conformal import covered, grouped_quantile
-from slipstitch.learning.instrument.distribution import conformal_scales, quantiles, spread
+from slipstitch.learning.instrument.distribution import (
+    conformal_intervals,
+    conformal_scales,
+    quantiles,
+    spread,
+)
 from slipstitch.learning.instrument.ensemble import combine_instruments, recalibrate_instrument
 from slipstitch.learning.instrument.measuring import CARD, WEIGHTS, load_instrument
 from slipstitch.learning.instrument.readings import READINGS, groups_of, kept_readings
@@ -145,7 +150,7 @@ def test_the_interval_can_be_fitted_again_from_what_is_kept(average, folder):
     kept = read_answers(folder / "by_simulation/ensemble")
     assert len({*kept.groups}) == 12
     wide = spread(kept.probabilities, average.grid, average.error_bars.spread)
-    scores = conformal_scales(wide, average.grid, 0.9, kept.friction)
+    scores = conformal_scales(conformal_intervals(wide, average.grid, 0.9, 1.0), kept.friction)
     assert grouped_quantile(scores, kept.groups, 0.9) == average.error_bars.conformal_scale
     assert kept_readings(folder / "by_simulation/ensemble") == []
 

@@ -32,15 +32,19 @@ from slipstitch.learning.instrument.measuring import (
 from slipstitch.learning.instrument.network import shifted_in_time
 from slipstitch.learning.model_file import write_weights
 
-SETTINGS = InstrumentSettings(channels=[8, 16], features=16)
 FABRICS = ["gray-interlock", "royal-target"]
 HALVES = (slice(0, 16), slice(16, 32))
+
+
+def untrained(**changes):
+    settings = {"channels": [8, 16], "features": 16, "draws": 4} | changes
+    return untrained_instrument(32, FABRICS, **settings)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("instrument")
-    save_instrument(untrained_instrument(SETTINGS, FABRICS, 32, frames=6), folder)
+    save_instrument(untrained(), folder)
     return folder
 
 
@@ -65,10 +69,7 @@ def test_an_untrained_instrument_is_well_formed_and_says_that_it_knows_nothing(f
 
 
 def test_the_same_frames_give_the_same_answer_also_from_disk(folder):
-    fresh, stored = (
-        untrained_instrument(SETTINGS, FABRICS, 32, frames=6),
-        load_instrument(folder / WEIGHTS),
-    )
+    fresh, stored = (untrained(), load_instrument(folder / WEIGHTS))
     answers = [one.measure(frames()).friction_coefficient for one in (fresh, stored, stored)]
     assert len(set(answers)) == 1
 
@@ -236,14 +237,13 @@ def test_an_instrument_trained_by_video_says_so(folder):
 
 def test_a_truth_at_the_end_of_the_grid_is_inside_the_whole_grid():
     """1.3 is none of the numbers of float32, in which the network has its grid."""
-    settings = SETTINGS.model_copy(update={"friction_max": 1.3})
-    low, high = untrained_instrument(settings, FABRICS, 32, frames=6).measure(frames()).interval_90
+    low, high = untrained(friction_max=1.3).measure(frames()).interval_90
     share, _ = covered(*np.array([[low], [high], [1.3]]), ["m00_f1300_r00"])
     assert share == 1.0
 
 
 def test_error_bars_from_unseen_fabrics_alone_leave_the_fabrics_probabilities():
-    instrument = untrained_instrument(SETTINGS, FABRICS, 32, frames=6)
+    instrument = untrained()
     instrument = dataclasses.replace(instrument, card=instrument.card | {"dataset_digest": "own"})
     rows = [
         {

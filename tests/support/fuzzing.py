@@ -27,7 +27,6 @@ from slipstitch.base.errors import SlipstitchError
 from slipstitch.base.provenance import read_provenance, start_clock
 from slipstitch.config import load_config
 from slipstitch.config.catalogue import VIEWPOINTS
-from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.config.load import calibrated_settings, read_mapping, resolve_config
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.prediction import read_verdict
@@ -38,7 +37,7 @@ from slipstitch.dataset.release.assembly import write_release
 from slipstitch.dataset.release.records import read_artefact
 from slipstitch.dataset.videos import read_videos
 from slipstitch.design.sampled_frames import sampled_frames
-from slipstitch.film import board_views
+from slipstitch.film import board
 from slipstitch.film.captures_table import read_captures, read_references
 from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.slip_angles import estimate, read_angles
@@ -251,7 +250,7 @@ def _pictures(add, folder: Path) -> None:
     for suffix in ("png", "jpg", "bmp", "tiff", "webp"):
         path = folder / f"picture.{suffix}"
         cv2.imwrite(str(path), image)
-        add(f"picture ({suffix})", path, lambda path=path: board_views.read_image(path))
+        add(f"picture ({suffix})", path, lambda path=path: board.read_image(path))
         add(f"texture ({suffix})", path, lambda path=path: read_texture(path))
     for suffix, code in (("mp4", "mp4v"), ("avi", "MJPG")):
         path = folder / f"film.{suffix}"
@@ -259,7 +258,7 @@ def _pictures(add, folder: Path) -> None:
         for _ in range(5):
             film.write(image)
         film.release()
-        add(f"film ({suffix})", path, lambda path=path: list(board_views._frames(path)))
+        add(f"film ({suffix})", path, lambda path=path: list(board._frames(path)))
     camera = folder / "camera.json"
     whole = {
         "format": FORMAT, "image_size_px": [640, 480], "focal_px": [600.0, 600.0],
@@ -321,8 +320,7 @@ def estimated(angles: Path) -> None:
 
 def _instruments(add, folder: Path) -> None:
     folder.mkdir()
-    settings = InstrumentSettings(channels=[4, 4], features=8, draws=1)
-    instrument = untrained_instrument(settings, ["denim", "felt"], 32, frames=4)
+    instrument = untrained_instrument(frames=4, channels=[4, 4], features=8)
     save_instrument(instrument, folder)
     for name in ("instrument.safetensors", "instrument.json"):
         add(f"instrument, {name}", folder / name, lambda: load_instrument(folder))

@@ -8,9 +8,10 @@ from slipstitch.learning.instrument.network import InstrumentNetwork
 
 
 def untrained_instrument(
-    settings: InstrumentSettings, materials: list[str], pixels: int, frames: int = 30
+    pixels: int = 32, materials=("denim", "felt"), frames: int = 6, **changes
 ) -> Instrument:
     """An instrument of random weights: well formed, knows nothing, always raises its alarm."""
+    settings = InstrumentSettings(**{"channels": [8, 8, 8], "draws": 1} | changes)
     torch.manual_seed(0)
     network = InstrumentNetwork(settings, len(materials), pixels)
     network.eval()

@@ -31,7 +31,7 @@ from slipstitch.film.captures_scores import (
     subsets,
     what_they_are,
 )
-from slipstitch.film.ingest_videos import CAPTURES, read_known
+from slipstitch.film.ingest_videos import CAPTURES, OF_CAPTURE, read_known
 from slipstitch.learning.evaluation import paper
 from slipstitch.learning.evaluation.metrics import CAPTURES as OF_CAPTURES
 from slipstitch.learning.evaluation.metrics import metrics_of
@@ -47,10 +47,6 @@ from slipstitch.learning.evaluation.trained import Trained
 from slipstitch.learning.lrcn_model import LrcnModel
 from slipstitch.learning.torch_setup import set_up_torch
 
-_OF_CAPTURE = (
-    *("video", "pair", "material", "substrate", "repeat"),
-    *("mu_ref", "mu_ref_error", "reflective", "surrogate"),
-)
 _TEMPLATE = Path(__file__).with_name("captures.html.j2")
 _DASHES = {"all": "-", "matte": "--", "reflective": ":"}
 _FRAMES_SHOWN = 10
@@ -92,7 +88,7 @@ def predict_captures(dataset: str | Path, trained: Trained) -> list[dict[str, An
             fabrics = of_fabric.fabrics
             rows.append(
                 {
-                    **{name: capture[name] for name in _OF_CAPTURE},
+                    **{name: capture[name] for name in ("video", *OF_CAPTURE)},
                     "model": entries_of(network),
                     "trained_on": split,
                     "seed": seed,

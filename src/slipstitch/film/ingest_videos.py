@@ -21,14 +21,14 @@ from slipstitch.images.camera_file import read_camera_file
 from slipstitch.images.encoding import encode_png
 
 CAPTURES = "captures.parquet"
-_OF_CAPTURE = (
+OF_CAPTURE = (
     *("pair", "material", "substrate", "repeat"),
     *("mu_ref", "mu_ref_error", "reflective", "surrogate"),
 )
 _OF_VIDEO = ("frame_interval_s", "longest_gap_s", "view_angle_deg")
 CAPTURES_SCHEMA = pa.schema(
     [
-        *((name, pa.string()) for name in ("video", *_OF_CAPTURE[:3])),
+        *((name, pa.string()) for name in ("video", *OF_CAPTURE[:3])),
         ("repeat", pa.int32()),
         *((name, pa.float64()) for name in ("mu_ref", "mu_ref_error")),
         *((name, pa.bool_()) for name in ("reflective", "surrogate")),
@@ -154,7 +154,7 @@ def _write_video(
 def _known(capture: Capture, video: StageVideo) -> dict[str, Any]:
     return {
         "video": f"{capture.id}_{_TEXTURE}_{_VIEW}",
-        **{name: getattr(capture, name) for name in _OF_CAPTURE},
+        **{name: getattr(capture, name) for name in OF_CAPTURE},
         "start_s": video.start.time_s,
         "start_found": video.start.found,
         "start_residual_m": video.start.residual_m,

@@ -55,7 +55,10 @@ def save_checkpoint(
         tensors |= {f"optimizer.{number}.{name}": value for name, value in memory.items()}
     tensors["random"] = torch.get_rng_state()
     tensors = {name: value.contiguous() for name, value in tensors.items()}
-    notes = {"identity": json.dumps(identity, sort_keys=True), "progress": _text(progress)}
+    notes = {
+        "identity": json.dumps(identity, sort_keys=True),
+        "progress": json.dumps(asdict(progress)),
+    }
     taken_s = [now - then for now, then in zip(start_clock(), started, strict=True)]
     notes["taken_s"] = json.dumps(taken_s)  # wall and CPU
     notes["sha256"] = _digest(notes, tensors)
@@ -70,10 +73,6 @@ def _digest(notes: dict[str, str], tensors: dict[str, torch.Tensor]) -> str:
         digest.update(f"{name} {value.dtype} {tuple(value.shape)}".encode())
         digest.update(value.detach().contiguous().numpy().tobytes())
     return digest.hexdigest()
-
-
-def _text(progress: Progress) -> str:
-    return json.dumps(asdict(progress))  # floats as their shortest exact decimal: no bit is lost
 
 
 def load_checkpoint(

@@ -102,15 +102,8 @@ def conformal_intervals(
     return np.stack([median, np.maximum(below, grid[0]), np.minimum(above, grid[-1])], axis=1)
 
 
-def conformal_scales(
-    distributions: np.ndarray, grid: np.ndarray, coverage: float, truth: np.ndarray
-) -> np.ndarray:
-    """Return the conformal scale at which each interval reaches its truth, shape (n,)."""
-    return conformal_scales_of(conformal_intervals(distributions, grid, coverage, 1.0), truth)
-
-
-def conformal_scales_of(intervals: np.ndarray, truth: np.ndarray) -> np.ndarray:
-    """The same, of intervals (median, lower end, upper end), shape (n, 3), as they are."""
+def conformal_scales(intervals: np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """Return the factors by which intervals (median, low, high) reach their truths, shape (n,)."""
     median, low, high = intervals.T
     half = np.where(truth < median, median - low, high - median)
     # A half that the grid's end cut off is never too short.

@@ -137,7 +137,8 @@ class Instrument:
 
     def needed_scale(self, distributions: np.ndarray, friction: np.ndarray) -> np.ndarray:
         """Return the scale at which each interval would just hold its truth, shape (n,)."""
-        return conformal_scales(distributions, self.grid, COVERAGE, friction)
+        unscaled = conformal_intervals(distributions, self.grid, COVERAGE, 1.0)
+        return conformal_scales(unscaled, friction)
 
     @property
     def conformal_scale(self) -> float:

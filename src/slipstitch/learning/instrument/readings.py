@@ -16,7 +16,7 @@ from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import file_digest, read_json, read_parquet, read_sidecar
 from slipstitch.dataset.videos import Videos
 from slipstitch.learning.instrument.augmentation import phased
-from slipstitch.learning.instrument.distribution import conformal_scales_of
+from slipstitch.learning.instrument.distribution import conformal_scales
 from slipstitch.learning.instrument.measuring import Instrument
 from slipstitch.learning.instrument.poses import poses_of
 
@@ -113,7 +113,7 @@ def read_readings(path: str | Path, instrument: Instrument) -> Readings:
         raise BadInput(f"{path}: has no reading of the instrument")
     truth = np.array([row["friction"] for row in found])
     intervals = np.array([[row["reading"], row["low"], row["high"]] for row in found])
-    scores = conformal_scales_of(intervals, truth)
+    scores = conformal_scales(intervals, truth)
     dataset = content.get("dataset")
     of_file = {
         "source": file_digest(path),
