@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.criticised import judged, measured
 from support.departures import draw_plan
 from support.departures.campaign import write
 from support.departures.strength import SLIDE_MM, STROKE_MM, TRAVEL_MM
@@ -15,13 +16,12 @@ from slipstitch.criticise.case import read_case
 from slipstitch.criticise.criticism_files import false_alarms, power_to_file
 from slipstitch.criticise.expected_traces import assumptions_of, expected
 from slipstitch.criticise.inference.certificate import of_design, plain_model
-from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.verdict import SIGNIFICANCE, analyse
 
 
 def test_an_effect_well_above_the_smallest_detectable_is_seen_and_one_far_below_is_not(tmp_path):
     make_case(93, "null", tmp_path / "null", plant=({}, ["incline"]))
-    null = analyse(assemble(read_case(tmp_path / "null")), replicates=100)
+    null = judged(tmp_path / "null")
     assert null.verdict == "none"
     smallest = null.detectable["nap"].size
     assert 0.005 < smallest < 0.2
@@ -30,7 +30,7 @@ def test_an_effect_well_above_the_smallest_detectable_is_seen_and_one_far_below_
         folder = tmp_path / f"{factor}"
         effects = {"nap": {"nap": factor * smallest}}
         make_case(93, "single", folder, plant=(effects, ["incline"]))
-        found = analyse(assemble(read_case(folder)), replicates=100)
+        found = judged(folder)
         assert (found.global_p < SIGNIFICANCE) == seen
 
 
@@ -89,7 +89,7 @@ def test_a_design_says_before_it_is_measured_what_its_campaign_says_after(tmp_pa
     plan = draw_plan(seed, "null", False)
     assert plan.protocols == (protocol,)
     write(plan, tmp_path)
-    after = analyse(assemble(read_case(tmp_path)), replicates=100)
+    after = judged(tmp_path)
     # The same scatter: how large it is, no design tells.
     scatter = after.null_state.scatters[protocol]
     meta = json.loads((tmp_path / "meta.json").read_text())
@@ -133,7 +133,7 @@ def test_power_says_what_it_assumed_and_refuses_what_is_no_assumption(tmp_path):
 @pytest.mark.slow
 def test_false_alarms_are_counted_in_campaigns_that_hold_nothing(tmp_path):
     make_case(93, "null", tmp_path, plant=({}, ["incline"]))
-    m = assemble(read_case(tmp_path))
+    m = measured(tmp_path)
     null = analyse(m, replicates=50)
     scatters = null.null_state.scatters
     quiet = false_alarms(m, null.null, scatters, 8, 1, 50)

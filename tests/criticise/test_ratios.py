@@ -4,14 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.criticised import measured
 from support.hidden_effects.bench import make_case
 
-from slipstitch.criticise.case import read_case
 from slipstitch.criticise.inference import structure
 from slipstitch.criticise.inference.faulty_data import robust_fit
 from slipstitch.criticise.inference.mixed_model import Clusters, Group, Scatter, log_likelihood
 from slipstitch.criticise.inference.ratio import Ratios
-from slipstitch.criticise.measurements import assemble
 
 
 @pytest.fixture
@@ -62,11 +61,11 @@ def test_another_protocol_takes_no_evidence_away(tmp_path):
     for protocols in (["strip"], ["strip", "drop_drag"]):
         folder = tmp_path / "-".join(protocols)
         make_case(51, "outside", folder, plant=(patch, protocols))
-        measurements = assemble(read_case(folder))
+        measurements = measured(folder)
         _, state = robust_fit(measurements)
         outcome = state.outcome(np.random.default_rng(1), 100)
         evidence[len(protocols)] = outcome.global_p
-        strongest = outcome.tests[outcome.strongest()]
+        strongest = outcome.tests[outcome.strongest("generic")]
         assert strongest.covariate == "pos_x_mm"
     assert max(evidence.values()) < 0.01
     assert evidence[2] <= evidence[1]

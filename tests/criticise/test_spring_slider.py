@@ -6,14 +6,13 @@ import numpy as np
 import pandas as pd
 import pytest
 from support import departures
+from support.criticised import judged, measured
 from support.hidden_effects.bench import make_case
+from support.stick_slip_events import run
 
 from slipstitch.cli.main import main
-from slipstitch.criticise.case import read_case
-from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.protocols import spring_slider
-from slipstitch.criticise.protocols.stick_slip import Slider, run, steady_cycle, steady_force
-from slipstitch.criticise.verdict import analyse
+from slipstitch.criticise.protocols.stick_slip import Slider, steady_cycle, steady_force
 from slipstitch.physics.friction_law import Contact, FrictionLaw
 
 SLIDER = Slider(mass_kg=0.06, spring_N_m=200.0, speed_m_s=0.002)
@@ -73,15 +72,15 @@ def test_the_steady_trace_swings_as_far_as_it_says_and_loads_at_the_springs_rate
 def test_traces_integrated_in_time_steps_have_the_features_of_the_closed_form(tmp_path):
     planted = {"static_kinetic": {"static_kinetic": 0.2}}
     truth = make_case(1, "single", tmp_path, noise_free=True, plant=(planted, ["spring_slider"]))
-    measured = assemble(read_case(tmp_path))
+    found = measured(tmp_path)
     values = {"mu_face": np.log(truth["mu_face"]), "static_kinetic": 0.2}
-    expected = measured.predict(values, ("static_kinetic",))
-    assert set(measured.rows["quantity"]) == {
+    expected = found.predict(values, ("static_kinetic",))
+    assert set(found.rows["quantity"]) == {
         "slider_level_mN",
         "slider_swing_mN",
         "slider_first_swing_mN",
     }
-    assert measured.y == pytest.approx(expected, rel=6e-3)
+    assert found.y == pytest.approx(expected, rel=6e-3)
 
 
 @pytest.mark.slow
@@ -90,7 +89,7 @@ def test_traces_integrated_in_time_steps_have_the_features_of_the_closed_form(tm
 )
 def test_a_planted_effect_is_named_and_sized(seed, name, size, tmp_path):
     make_case(seed, "single", tmp_path, plant=({name: {name: size}}, ["spring_slider"]))
-    analysis = analyse(assemble(read_case(tmp_path)), replicates=200)
+    analysis = judged(tmp_path, 200)
     assert (analysis.verdict, analysis.causes) == ("cause", (name,))
     low, high = analysis.intervals(analysis.chosen.fitted).of_sizes()[name]["ci95"]
     slack = 0.75 * (high - low)
@@ -100,7 +99,7 @@ def test_a_planted_effect_is_named_and_sized(seed, name, size, tmp_path):
 @pytest.mark.slow
 def test_drops_that_inertia_makes_are_no_effect(tmp_path):
     make_case(2, "null", tmp_path, plant=({}, ["spring_slider"]))
-    assert analyse(assemble(read_case(tmp_path))).verdict == "none"
+    assert judged(tmp_path, 300).verdict == "none"
 
 
 @pytest.mark.slow
@@ -108,7 +107,7 @@ def test_drops_that_inertia_makes_are_no_effect(tmp_path):
 def test_drops_of_an_uneven_track_are_no_static_friction(seed, tmp_path):
     truth = departures.make_case(seed, tmp_path)
     assert truth["uneven_track"] == ["spring_slider"] and not truth["effects"]
-    analysis = analyse(assemble(read_case(tmp_path)), replicates=100)
+    analysis = judged(tmp_path)
     blamed = {cause for causes in analysis.alternatives for cause in causes}
     assert not blamed & {"static_kinetic", "ageing"}
 

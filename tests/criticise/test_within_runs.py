@@ -5,12 +5,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from support.stick_slip_events import run
 
 from slipstitch.cli.main import main
 from slipstitch.criticise import resimulation
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.measurements import assemble
-from slipstitch.criticise.protocols.stick_slip import Slider, run
+from slipstitch.criticise.protocols.stick_slip import Slider
 from slipstitch.criticise.resimulation import compare
 from slipstitch.criticise.statement import gain_words, sentence
 from slipstitch.criticise.within_runs import (

@@ -52,15 +52,12 @@ class Case:
 
 
 def read_case(folder: Path | str, with_measurements: bool = True) -> Case:
-    """Read and check a case.
+    """Read and check a case: meta.json and at least one protocol's tables, as CSV or Parquet.
 
     Parameters
     ----------
-    folder
-        Holds meta.json and at least one protocol's tables, as CSV or Parquet.
-    with_measurements
-        False reads run tables only (a design whose outcome is to be predicted): traces may be
-        absent and measured values empty.
+    with_measurements : False reads run tables only (a design whose outcome is to be predicted):
+        traces may be absent and measured values empty.
 
     Raises
     ------

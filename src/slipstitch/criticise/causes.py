@@ -11,13 +11,13 @@ what is clearly wrong is a finding about the data, neither a cause nor a reason 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
-from types import MappingProxyType
-
-import numpy as np
 
 from slipstitch.physics.friction_law import CONTACT_MECHANISMS, Mechanism, Parameter
+
+DEGREE = math.pi / 180
 
 
 @dataclass(frozen=True)
@@ -82,25 +82,21 @@ class BenchMechanism(Mechanism):
         return any(parameter.sets in reads for parameter in self.parameters)
 
 
+def _error(name: str, scale: float, lower: float, upper: float) -> tuple[BenchParameter]:
+    """Of a nominal value: true = nominal (1 + error)."""
+    return (BenchParameter(name, "1", 0.0, scale, lower, upper, relative=True, sets=name),)
+
+
 _ENTRIES = (
     BenchMechanism(
         "tilt",
         "the floor is tilted",
         # Two components, so that no tilt is a regular point.
-        (
+        tuple(
             BenchParameter(
-                "tilt_along", "deg", 0.0, 0.3, -20.0, 20.0, sets="tilt_along_rad", to_si=np.pi / 180
-            ),
-            BenchParameter(
-                "tilt_across",
-                "deg",
-                0.0,
-                0.3,
-                -20.0,
-                20.0,
-                sets="tilt_across_rad",
-                to_si=np.pi / 180,
-            ),
+                f"tilt_{way}", "deg", 0.0, 0.3, -20.0, 20.0, sets=f"tilt_{way}_rad", to_si=DEGREE
+            )
+            for way in ("along", "across")
         ),
         covariate="azimuth_deg",
         components=("tilt", "tilt_azimuth"),
@@ -112,21 +108,13 @@ _ENTRIES = (
     BenchMechanism(
         "mass_error",
         "the cloth is heavier (or lighter) than its nominal mass",
-        (
-            BenchParameter(
-                "mass_error", "1", 0.0, 0.05, -0.6, 2.0, relative=True, sets="mass_error"
-            ),
-        ),
+        _error("mass_error", 0.05, -0.6, 2.0),
         direct_check=("weigh a cut of known area", {"mass_error": 0.01}),
     ),
     BenchMechanism(
         "bending_error",  # of the sheet and of the strip
         "the cloth is stiffer (or softer) than its nominal bending stiffness",
-        (
-            BenchParameter(
-                "bending_error", "1", 0.0, 0.1, -0.9, 8.0, relative=True, sets="bending_error"
-            ),
-        ),
+        _error("bending_error", 0.1, -0.9, 8.0),
         direct_check=("cantilever test of the fabric's stiffness", {"bending_error": 0.05}),
     ),
     BenchMechanism(
@@ -154,11 +142,7 @@ _ENTRIES = (
     BenchMechanism(
         "force_gain",
         "the force cell has a wrong gain",
-        (
-            BenchParameter(
-                "force_gain", "1", 0.0, 0.03, -0.6, 2.0, relative=True, sets="force_gain"
-            ),
-        ),
+        _error("force_gain", 0.03, -0.6, 2.0),
         direct_check=("known weights on the force cell", {"force_gain": 0.005}),
     ),
     BenchMechanism(
@@ -169,10 +153,8 @@ _ENTRIES = (
         direct_check=("a flash seen by camera and stage clock", {"time_lag": 0.02}),
     ),
 )
-BENCH_MECHANISMS: Mapping[str, BenchMechanism] = MappingProxyType(
-    {mechanism.identifier: mechanism for mechanism in _ENTRIES}
-)
-MECHANISMS: Mapping[str, Mechanism] = MappingProxyType({**CONTACT_MECHANISMS, **BENCH_MECHANISMS})
+BENCH_MECHANISMS: Mapping[str, BenchMechanism] = {m.identifier: m for m in _ENTRIES}
+MECHANISMS: Mapping[str, Mechanism] = {**CONTACT_MECHANISMS, **BENCH_MECHANISMS}
 
 
 @dataclass(frozen=True)
@@ -198,7 +180,7 @@ class Zero:
 
 
 _ZEROS = (
-    Zero("angle_zero_rad", "protractor", "zero of the angle", "deg", 0.017453292519943295, 0.5),
+    Zero("angle_zero_rad", "protractor", "zero of the angle", "deg", DEGREE, 0.5),
     Zero("strain_zero", "strain camera", "zero of the strain", "1", 1.0, 0.005),
     Zero("stage_zero_m", "stage", "start of the stage", "mm", 1e-3, 1.5),
     Zero("force_delay_s", "force cell", "delay of the force", "s", 1.0, 0.05),
@@ -215,7 +197,7 @@ _ZEROS = (
     # The half drop of a wave is 1.4 times the standard deviation that it has.
     Zero("track_drop", "track", "drops of an uneven track", "1", 1.0, 1.4, of_sensor=False),
 )
-ZEROS: Mapping[str, Zero] = MappingProxyType({zero.field: zero for zero in _ZEROS})
+ZEROS: Mapping[str, Zero] = {zero.field: zero for zero in _ZEROS}
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
@@ -25,26 +24,21 @@ class Covariate:
     ----------
     name : the column; empty cells (NaN, or '' of a text) were not recorded.
     title, unit : as they are drawn and said.
+    sought : shapes that are looked for: trends (a trend, a bow and an S-shaped curve), bumps at
+        every place, patches with sharp edges of every width, cycles of several periods.
     logarithmic : drawn, and searched, along its logarithm.
     from_zero : its logarithm is that of 1 + value, since it may be zero.
-    trends : it is searched for a trend, a bow and an S-shaped curve.
-    bumps : and for bumps at every place.
-    patches : and for patches with sharp edges, of every width.
     waves : orders of the waves that are looked for in an angle.
-    cycles : it is searched for cycles of several periods.
     text : it names something; its values have no order.
     """
 
     name: str
     title: str
     unit: str = ""
+    sought: tuple[str, ...] = ()
     logarithmic: bool = False
     from_zero: bool = False
-    trends: bool = False
-    bumps: bool = False
-    patches: bool = False
     waves: tuple[int, ...] = ()
-    cycles: bool = False
     text: bool = False
 
     @property
@@ -74,48 +68,24 @@ class Covariate:
         return f"{10**searched if self.logarithmic else searched:.3g}"
 
 
+_TRENDS, _BUMPS = ("trends",), ("trends", "bumps")
+_EVERY = ("trends", "bumps", "patches", "cycles")
 _ENTRIES = (
-    Covariate(
-        "pos_x_mm",
-        "position on the substrate",
-        "mm",
-        trends=True,
-        bumps=True,
-        patches=True,
-        cycles=True,
-    ),
-    Covariate(
-        "clock_min",
-        "time in the session",
-        "min",
-        trends=True,
-        bumps=True,
-        patches=True,
-        cycles=True,
-    ),
-    Covariate("rh_pct", "relative humidity", "%", trends=True, bumps=True),
-    Covariate("repeat_index", "earlier slides", trends=True),
-    Covariate(
-        "dwell_s",
-        "rest before the pull",
-        "s",
-        logarithmic=True,
-        from_zero=True,
-        trends=True,
-        bumps=True,
-    ),
+    Covariate("pos_x_mm", "position on the substrate", "mm", _EVERY),
+    Covariate("clock_min", "time in the session", "min", _EVERY),
+    Covariate("rh_pct", "relative humidity", "%", _BUMPS),
+    Covariate("repeat_index", "earlier slides", "", _TRENDS),
+    Covariate("dwell_s", "rest before the pull", "s", _BUMPS, logarithmic=True, from_zero=True),
     Covariate("orientation_deg", "direction to the warp", "°", waves=(1, 2, 3, 4)),
     Covariate("azimuth_deg", "lab direction", "°", waves=(1, 2, 3)),
-    Covariate("load_ratio", "load", "p/p₀", logarithmic=True, trends=True, bumps=True),
-    Covariate("speed_mm_s", "speed", "mm/s", logarithmic=True, trends=True, bumps=True),
+    Covariate("load_ratio", "load", "p/p₀", _BUMPS, logarithmic=True),
+    Covariate("speed_mm_s", "speed", "mm/s", _BUMPS, logarithmic=True),
     Covariate("operator", "operator", text=True),
     Covariate("support", "support", text=True),
     Covariate("length_mm", "strip length", "mm"),
     Covariate("height_mm", "clamp height", "mm"),
 )
-COVARIATES: Mapping[str, Covariate] = MappingProxyType(
-    {covariate.name: covariate for covariate in _ENTRIES}
-)
+COVARIATES: Mapping[str, Covariate] = {covariate.name: covariate for covariate in _ENTRIES}
 
 
 @dataclass(frozen=True)
@@ -144,25 +114,17 @@ def generic_shapes(rows: pd.DataFrame, usable: np.ndarray) -> list[Shape]:
     rows : one line a feature.
     usable : (n,) features that friction acts on and that are kept.
     """
-    shapes: list[Shape] = []
-    for covariate in COVARIATES.values():
-        if covariate.trends and covariate.bumps:
-            shapes += _along(rows, covariate, usable)
-    for covariate in COVARIATES.values():
-        if covariate.trends and not covariate.bumps:
-            shapes += _along(rows, covariate, usable)
-    for covariate in COVARIATES.values():
-        shapes += _waves(rows, covariate, usable)
-    for covariate in COVARIATES.values():
-        if covariate.cycles:
-            shapes += _cycles(rows, covariate, usable)
-    for covariate in COVARIATES.values():
-        if covariate.text:
-            shapes += _steps(rows, covariate)
+    every = COVARIATES.values()
+    with_bumps_first = sorted(every, key=lambda covariate: "bumps" not in covariate.sought)
+    shapes = [shape for one in with_bumps_first for shape in _along(rows, one, usable)]
+    for found in (_waves, _cycles, _steps):
+        shapes += [shape for one in every for shape in found(rows, one, usable)]
     return shapes
 
 
-def _steps(rows, covariate: Covariate) -> list[Shape]:
+def _steps(rows, covariate: Covariate, usable) -> list[Shape]:
+    if not covariate.text:
+        return []
     labels = rows[covariate.name]
     names = [name for name in pd.unique(labels) if name]
     if not 1 < len(names) <= 6:
@@ -172,6 +134,8 @@ def _steps(rows, covariate: Covariate) -> list[Shape]:
 
 
 def _along(rows, covariate: Covariate, usable) -> list[Shape]:
+    if "trends" not in covariate.sought:
+        return []
     name = covariate.name
     values = covariate.searched(rows[name].to_numpy(float))
     known = np.isfinite(values)
@@ -181,9 +145,8 @@ def _along(rows, covariate: Covariate, usable) -> list[Shape]:
     runs = (rows["protocol"] + "/" + rows["run_id"]).to_numpy()
     low, high = np.quantile(values[known & usable], [0.0, 1.0])
     z = np.where(known, (values - low) / max(high - low, 1e-12), 0.5)
-    shapes = []
     centred = np.where(known, z - 0.5, 0.0)
-    shapes.append(Shape(name, "a trend", centred[:, None]))
+    shapes = [Shape(name, "a trend", centred[:, None])]
     if len(levels) >= 4:
         bow = np.where(known, (2 * z - 1) ** 2, 0.0)
         shapes.append(Shape(name, "a bow", bow[:, None]))
@@ -191,7 +154,7 @@ def _along(rows, covariate: Covariate, usable) -> list[Shape]:
             cubic = np.where(known, (2 * z - 1) ** 3, 0.0)
             both = np.column_stack([centred, bow, cubic])
             shapes.append(Shape(name, "an S-shaped curve", both, spanned=True))
-        if covariate.bumps:
+        if "bumps" in covariate.sought:
             for width in (0.09, 0.18):
                 for centre in np.linspace(0, 1, 11 if width < 0.1 else 7):
                     bump = np.where(known, np.exp(-0.5 * ((z - centre) / width) ** 2), 0.0)
@@ -200,7 +163,7 @@ def _along(rows, covariate: Covariate, usable) -> list[Shape]:
                         at = low + centre * (high - low)
                         form = f"a bump at {covariate.plain(at)}"
                         shapes.append(Shape(name, form, bump[:, None], scanned=True))
-        if covariate.patches:
+        if "patches" in covariate.sought:
             shapes += _patches(covariate, z, known, usable, runs, low, high)
     elif len(levels) == 3:
         step = np.where(known, values == levels[1], 0.0).astype(float)
@@ -246,6 +209,8 @@ def _waves(rows, covariate: Covariate, usable) -> list[Shape]:
 
 
 def _cycles(rows, covariate: Covariate, usable) -> list[Shape]:
+    if "cycles" not in covariate.sought:
+        return []
     values = rows[covariate.name].to_numpy(float)
     known = np.isfinite(values)
     if len(_levels(values[known & usable])) < 8:

@@ -86,13 +86,8 @@ def criticise_to_files(
 
     Parameters
     ----------
-    case : Case
-    seed, replicates : int
-        Of the simulated maxima; simulated data sets behind each family-wise p.
-    paths : Paths
-        All but that of the verdict may be None.
-    campaigns : int
-        Simulated in which nothing is hidden, for the rate of false alarms.
+    seed, replicates : of the simulated maxima; simulated data sets behind each family-wise p.
+    campaigns : simulated in which nothing is hidden, for the rate of false alarms.
     """
     record = partial(_record, case, seed, replicates, campaigns, start_clock())
     analysis = analyse(assemble(case), seed, replicates)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from types import MappingProxyType
 
 import numpy as np
 import pandas as pd
@@ -76,11 +75,7 @@ ASSUMPTIONS = (
 def assumptions_of(case: Case) -> dict[str, float]:
     """Values of the assumptions that concern a case's protocols.
 
-    Raises
-    ------
-    BadInput
-        If ``meta.json`` has under ``design`` what is no such assumption, no positive number, or a
-        coefficient of friction beyond what is looked for.
+    Raises BadInput if ``meta.json`` has under ``design`` what is no such assumption.
     """
     given = case.meta.get("design") or {}
     names = [assumption.name for assumption in ASSUMPTIONS]
@@ -256,13 +251,11 @@ def _push(runs, nominal, assumed, rng) -> Iterator[pd.DataFrame]:
         yield pd.DataFrame({"t_s": time, "force_x_mN": force + noise[0], "force_y_mN": noise[1]})
 
 
-_READINGS: Mapping[str, Callable] = MappingProxyType(
-    {
-        "incline": _incline,
-        "strip": _strip,
-        "drag": _drag,
-        "drop_drag": _drop_drag,
-        "spring_slider": _spring_slider,
-        "push": _push,
-    }
-)
+_READINGS: Mapping[str, Callable] = {
+    "incline": _incline,
+    "strip": _strip,
+    "drag": _drag,
+    "drop_drag": _drop_drag,
+    "spring_slider": _spring_slider,
+    "push": _push,
+}

@@ -59,7 +59,8 @@ def is_usual(coefficient: float) -> bool:
     return USUAL_COEFFICIENT[0] <= coefficient <= USUAL_COEFFICIENT[1]
 
 
-def _strokes(traces: pd.DataFrame, stroke: int = 0) -> Iterator[tuple[str, pd.DataFrame]]:
+def strokes(traces: pd.DataFrame, stroke: int = 0) -> Iterator[tuple[str, pd.DataFrame]]:
+    """One stroke of every run, or all of a run that has none."""
     if "stroke" in traces:
         traces = traces[traces["stroke"] == stroke]
     return iter(traces.groupby("run_id", sort=False))
@@ -75,51 +76,48 @@ def _slope(x: np.ndarray, force: np.ndarray) -> float | None:
 def loading_slopes(case: Case, name: str) -> tuple[list[float], int]:
     """Read how steep the force rises while the spring loads, over what the bench says.
 
-    The first rise of a relaxed spring counts, else those between slips. Only readings that lie on
-    the rise are used.
-
-    Returns
-    -------
-    ratios, hidden : one a run that shows it, and how many runs have too few readings on a rise.
+    The first rise of a relaxed spring counts, else those between slips; only readings on the rise
+    are used. One ratio a run that shows it, and how many runs have too few readings on a rise.
     """
     runs = case.tables[f"{name}_runs"].set_index("run_id")
     axis = "x_stage_mm" if name == "drag" else "t_s"
-    ratios, hidden = [], 0
-    for run, trace in _strokes(case.tables[name]):
+    ratios = []
+    for run, trace in strokes(case.tables[name]):
         x, force = trace[axis].to_numpy(float), trace["force_mN"].to_numpy(float)
-        expected = case.nominal["k_tether_N_m"] if name == "drag" else 0.0
-        if name == "spring_slider":
+        if name == "drag":
+            expected = case.nominal["k_tether_N_m"]
+        else:
             expected = float(runs["spring_N_m"][run] * runs["speed_mm_s"][run])
-        level = float(np.median(force[len(force) // 2 :]))
+        level = levels_of(trace)[1]
         slope = None
         if len(force) > 8 and np.mean(force[:3]) < 0.5 * level:
             top = int(np.argmax(force >= 0.8 * level))
-            low = np.flatnonzero(force[:top] <= 0.2 * level)
-            first = int(low[-1]) if len(low) else 0
+            first = max(np.flatnonzero(force[:top] <= 0.2 * level), default=0)
             slope = _slope(x[first : top + 1], force[first : top + 1])
         elif name == "spring_slider" and len(force) > 8:
             slope = _between_slips(x, force)
-        if slope is None:
-            hidden += 1
-        else:
-            ratios.append(slope / expected)
-    return ratios, hidden
+        ratios.append(None if slope is None else slope / expected)
+    found = [ratio for ratio in ratios if ratio is not None]
+    return found, len(ratios) - len(found)
+
+
+def levels_of(trace: pd.DataFrame) -> tuple[float, float]:
+    """The force at the start of a stroke, and late in it."""
+    force = trace["force_mN"].to_numpy(float)
+    return float(np.median(force[:3])), float(np.median(force[len(force) // 2 :]))
 
 
 def _between_slips(time: np.ndarray, force: np.ndarray) -> float | None:
     """Median slope of the rises between slips, if they are alike."""
     swing = float(np.subtract(*np.quantile(force, [0.95, 0.05])))
-    peaks = find_peaks(force, prominence=0.5 * swing)[0]
-    troughs = find_peaks(-force, prominence=0.5 * swing)[0]
+    peaks, troughs = (find_peaks(side, prominence=0.5 * swing)[0] for side in (force, -force))
     slopes = []
-    for trough in troughs:
-        later = peaks[peaks > trough]
-        if not len(later):
-            break
-        risen = (force[trough : later[0] + 1] - force[trough]) / (force[later[0]] - force[trough])
+    for trough in troughs[troughs < max(peaks, default=0)]:
+        peak = peaks[peaks > trough][0]
+        risen = (force[trough : peak + 1] - force[trough]) / (force[peak] - force[trough])
         rise = slice(trough + np.argmax(risen > 0.2), trough + np.argmax(risen > 0.8))
-        slope = _slope(time[rise], force[rise])
-        slopes += [] if slope is None else [slope]
+        slopes.append(_slope(time[rise], force[rise]))
+    slopes = [slope for slope in slopes if slope is not None]
     if len(slopes) < FEWEST_RISES:
         return None
     middle = float(np.median(slopes))
@@ -128,10 +126,7 @@ def _between_slips(time: np.ndarray, force: np.ndarray) -> float | None:
 
 
 def refuted_by_impact(case: Case, coefficient: float) -> list[str]:
-    """Name the unit of a pushed block's force that its first peak refutes, in one line.
-
-    The peak is in the unit of the force, the impact that the finger's stiffness makes in its root.
-    """
+    """Name the unit of a pushed block's force that its first peak refutes, in one line."""
     block = push.features(case.tables, case.nominal, True)
     if block is None or coefficient > SMALL_COEFFICIENT:
         return []
@@ -188,28 +183,23 @@ def refuted_units(case: Case, name: str, coefficient: float) -> list[str]:
 
 def refuted_clock(case: Case, name: str) -> list[str]:
     """Name a clock that the way and the speed refute, in one line."""
-    traces, runs = case.tables[name], case.tables[f"{name}_runs"].set_index("run_id")
     if name == "spring_slider":  # its loading slope has told
         return []
-    ratios = []
-    for run, trace in traces.groupby("run_id", sort=False):
-        speed, time = float(runs["speed_mm_s"][run]), trace["t_s"].to_numpy(float)
+    runs, ratios = case.tables[f"{name}_runs"].set_index("run_id"), []
+    for run, trace in case.tables[name].groupby("run_id", sort=False):
+        time, speed = trace["t_s"].to_numpy(float), float(runs["speed_mm_s"][run])
         if name == "push":
-            way = float(runs["moved_mm"][run])
-            ratios.append(
-                way / (speed * max(np.ptp(time) - runs["quiet_s"].fillna(0.0)[run], 1e-9))
-            )
-        else:
-            step = np.abs(np.diff(trace["x_stage_mm"].to_numpy(float)))[np.diff(time) > 0]
-            took = np.diff(time)[np.diff(time) > 0]
-            moving = step > 0
-            if moving.any():
-                ratios.append(float(np.median(step[moving] / took[moving])) / speed)
+            took = np.ptp(time) - runs["quiet_s"].fillna(0.0)[run]
+            ratios.append(float(runs["moved_mm"][run]) / (speed * max(took, 1e-9)))
+            continue
+        step, took = np.abs(np.diff(trace["x_stage_mm"].to_numpy(float))), np.diff(time)
+        moving = (took > 0) & (step > 0)
+        if moving.any():
+            ratios.append(float(np.median(step[moving] / took[moving])) / speed)
     ratio = float(np.nanmedian(ratios)) if np.isfinite(ratios).any() else 1.0
-    within = np.log(2.0) if name == "push" else NAMED_WITHIN
+    what, within = ("way", np.log(2.0)) if name == "push" else ("stage", NAMED_WITHIN)
     for slip, words in CLOCK_SLIPS:
         if ratio > 0 and abs(np.log(ratio / slip)) < within:
-            what = "way" if name == "push" else "stage"
             return [
                 f"{name}: the {what} goes {ratio:.3g} times as fast as speed_mm_s says: {words}?"
             ]
@@ -235,24 +225,18 @@ def clipped(case: Case, name: str) -> DataFinding | None:
     return None
 
 
-def _levels(trace: pd.DataFrame) -> tuple[float, float]:
-    force = trace["force_mN"].to_numpy(float)
-    return float(np.median(force[:3])), float(np.median(force[len(force) // 2 :]))
-
-
 def tared(case: Case, name: str) -> DataFinding | None:
     """Find a zero that was taken while the spring was loaded."""
-    backs = dict(_strokes(case.tables[name], 1)) if name == "drag" else {}
+    backs = dict(strokes(case.tables[name], 1)) if name == "drag" else {}
     starts, halves = [], []
-    for run, trace in _strokes(case.tables[name]):
-        start, late = _levels(trace)
+    for run, trace in strokes(case.tables[name]):
+        start, late = levels_of(trace)
+        half = late - start
         if run in backs:
-            back = _levels(backs[run])[1]
-            middle, half = 0.5 * (late + back), 0.5 * (late - back)
-            if abs(start - middle) > 0.5 * abs(start):
+            back = levels_of(backs[run])[1]
+            half = 0.5 * (late - back)
+            if abs(start - 0.5 * (late + back)) > 0.5 * abs(start):
                 continue
-        else:
-            half = late - start
         starts.append(start)
         halves.append(half)
     if len(starts) < 0.5 * len(case.tables[f"{name}_runs"]) or not starts:
@@ -265,8 +249,10 @@ def tared(case: Case, name: str) -> DataFinding | None:
 
 def only_magnitudes(case: Case) -> DataFinding | None:
     """Find return strokes of a drag that read as positive as the strokes out."""
-    backs = {run: _levels(trace)[1] for run, trace in _strokes(case.tables["drag"], 1)}
-    outs = {run: _levels(trace)[1] for run, trace in _strokes(case.tables["drag"])}
+    outs, backs = (
+        {run: levels_of(trace)[1] for run, trace in strokes(case.tables["drag"], stroke)}
+        for stroke in (0, 1)
+    )
     share = [backs[run] / outs[run] for run in backs if outs.get(run, 0.0) > 0]
     if not share or np.median(share) < MAGNITUDE_SHARE:
         return None
@@ -276,10 +262,10 @@ def only_magnitudes(case: Case) -> DataFinding | None:
 def drifting(case: Case, name: str) -> DataFinding | None:
     """Find a force that drifts within the runs, alike in all."""
     rates, shares = [], []
-    for _, trace in _strokes(case.tables[name]):
+    for _, trace in strokes(case.tables[name]):
         time = trace["t_s"].to_numpy(float)
-        force = np.hypot(*np.atleast_2d(trace[list(CELLS[name])].to_numpy(float).T)[[0, -1]])
-        force = force if name == "push" else trace["force_mN"].to_numpy(float)
+        columns = trace[list(CELLS[name])].to_numpy(float).T
+        force = np.hypot(*columns) if name == "push" else columns[0]
         late = time > time[0] + 0.4 * (time[-1] - time[0])
         if late.sum() < 20 or np.ptp(time[late]) <= 0:
             continue
@@ -299,9 +285,7 @@ def cell_faults(case: Case) -> tuple[Case, tuple[DataFinding, ...], list[str]]:
     """Return a case without what a force cell cannot have read, the findings, and what is fatal."""
     findings: list[DataFinding] = []
     fatal: list[str] = []
-    for name in case.protocols:
-        if name not in CELLS:
-            continue
+    for name in (name for name in case.protocols if name in CELLS):
         for finding in (clipped(case, name), tared(case, name) if name != "push" else None):
             if finding:
                 findings.append(finding)

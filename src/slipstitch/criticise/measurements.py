@@ -26,27 +26,11 @@ from slipstitch.physics.friction_law import CONTACT_MECHANISMS, Curve, FrictionL
 
 REMEMBERED = 64  # predictions of a block
 # The friction coefficients of the null, of the cloth's face and of a strip's edge.
-COEFFICIENTS = (
+COEFFICIENTS = tuple(
     Parameter(
-        "mu_face",
-        "1",
-        np.log(0.3),
-        0.05,
-        np.log(0.005),
-        np.log(8.0),
-        prior_sd=3.0,
-        coefficient=True,
-    ),
-    Parameter(
-        "mu_edge",
-        "1",
-        np.log(0.25),
-        0.05,
-        np.log(0.01),
-        np.log(3.0),
-        prior_sd=3.0,
-        coefficient=True,
-    ),
+        name, "1", np.log(usual), 0.05, np.log(lower), np.log(upper), prior_sd=3.0, coefficient=True
+    )
+    for name, usual, lower, upper in (("mu_face", 0.3, 0.005, 8.0), ("mu_edge", 0.25, 0.01, 3.0))
 )
 UNKNOWN_LOG_COEFFICIENT = -1.2
 LOG_STEP = 0.01
@@ -228,10 +212,7 @@ class Measurements:
 def assemble(case: Case, measured: bool = True) -> Measurements:
     """Features of a case; ``measured=False`` gives the quantities to predict for a design.
 
-    Raises
-    ------
-    BadInput
-        If no run of any protocol gives a feature.
+    Raises BadInput if no run of any protocol gives a feature.
     """
     odd = tuple(implausible(case)) if measured else ()
     findings: tuple[DataFinding, ...] = case.findings

@@ -13,7 +13,14 @@ import pandas as pd
 
 from slipstitch.base.tables import directions_in_radians, in_radians
 from slipstitch.criticise.case import Case
-from slipstitch.criticise.force_cells import FORCE_SLIPS, is_usual, refuted_clock, refuted_units
+from slipstitch.criticise.force_cells import (
+    FORCE_SLIPS,
+    is_usual,
+    levels_of,
+    refuted_clock,
+    refuted_units,
+    strokes,
+)
 from slipstitch.criticise.protocols.protocol import masses_of
 from slipstitch.criticise.protocols.strip import foot, largest_weight_number
 from slipstitch.physics import GRAVITY_M_S2
@@ -48,12 +55,7 @@ def _weights(runs: pd.DataFrame, nominal: Nominal) -> pd.Series:
 
 def _of_forces(name: str) -> Callable[[Tables, Nominal], np.ndarray]:
     def coefficients(tables: Tables, nominal: Nominal) -> np.ndarray:
-        traces = tables[name]
-        if "stroke" in traces:
-            traces = traces[traces["stroke"] == 0]
-        number = traces.groupby("run_id").cumcount()
-        size = traces.groupby("run_id")["run_id"].transform("size")
-        late = traces[number >= size // 2].groupby("run_id")["force_mN"].median()
+        late = pd.Series({run: levels_of(trace)[1] for run, trace in strokes(tables[name])})
         weight = _weights(tables[f"{name}_runs"], nominal).reindex(late.index)
         return (1e-3 * late / weight).to_numpy(float)
 
@@ -112,9 +114,7 @@ READINGS: Mapping[str, tuple[str, Callable, tuple[tuple[float, str], ...]]] = {
 def implausible(case: Case) -> list[str]:
     """One line for each implausible table or nominal size, with the likely unit."""
     found = _nominal_sizes(case) + _directions(case)
-    for name in case.protocols:
-        if name not in READINGS:
-            continue
+    for name in (name for name in case.protocols if name in READINGS):
         what, rough, slips = READINGS[name]
         values = rough(case.tables, case.nominal)
         values = values[~np.isnan(values)]
@@ -126,12 +126,12 @@ def implausible(case: Case) -> list[str]:
         if name in FORCED:
             refuted = refuted_units(case, name, middle) or refuted_clock(case, name)
         found += refuted
-        if refuted or (SMALLEST_COEFFICIENT <= middle <= LARGEST_COEFFICIENT and not small_angles):
-            continue
-        likely = _likely(name, middle, slips)
-        found.append(
-            f"{name}: {what} would be that of a friction coefficient of {middle:.2g}; {likely}?"
-        )
+        usual = SMALLEST_COEFFICIENT <= middle <= LARGEST_COEFFICIENT and not small_angles
+        if not refuted and not usual:
+            likely = _likely(name, middle, slips)
+            found.append(
+                f"{name}: {what} would be that of a friction coefficient of {middle:.2g}; {likely}?"
+            )
     return found
 
 

@@ -76,13 +76,7 @@ def _is(kind: type[BaseModel], found: Any) -> bool:
 
 
 def read_verdict(path: Path) -> dict:
-    """The verdict file.
-
-    Raises
-    ------
-    BadInput
-        If it is missing or holds no models.
-    """
+    """The verdict file; raises BadInput if it is missing or holds no models."""
     verdict = read_json(path)
     if not isinstance(verdict, dict):
         verdict = {}
@@ -196,12 +190,8 @@ def lock(verdict: dict, case_folder: Path, prediction: Path) -> dict:
     """Write a prediction of a case, whose measured values are not read, and its lock beside it.
 
     A prediction that is there already is kept, and must be the one that was locked for this case.
-
-    Returns
-    -------
-    dict
-        The lock: ``prediction_sha256``, ``models_sha256``, ``locked_at`` (UTC), and of the case
-        ``nominal`` and ``runs`` as it was predicted with them.
+    The lock has ``prediction_sha256``, ``models_sha256``, ``locked_at`` (UTC), and ``nominal`` and
+    ``runs`` of the case as it was predicted with them.
 
     Raises
     ------
@@ -240,12 +230,8 @@ def lock(verdict: dict, case_folder: Path, prediction: Path) -> dict:
 def score(case_folder: Path, prediction: Path, record: dict) -> dict:
     """Hold the locked prediction against the case's measured values.
 
-    Returns
-    -------
-    dict
-        The lock but for its runs, counts, and for null and extended model the share of readings
-        within their 95 % intervals, the mean log score a reading and the error by quantity; the
-        gain in log score with a t-interval over specimens.
+    For null and extended model the share of readings within their 95 % intervals, the mean log
+    score a reading and the error by quantity; the gain with a t-interval over specimens.
 
     Raises
     ------

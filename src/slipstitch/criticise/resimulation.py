@@ -35,11 +35,8 @@ CONDITIONS = (
 class Resimulation:
     """Measured and simulated shapes on the forward strokes.
 
-    Attributes
-    ----------
-    frames : one line a frame: run_id, specimen_id, x_stage_mm, the measured quantities, and
-        ``<quantity>_null`` and ``<quantity>_extended``.
-    summary : plain data for the JSON file.
+    ``frames`` has a line a frame: run_id, specimen_id, x_stage_mm, the measured quantities, and
+    ``<quantity>_null`` and ``<quantity>_extended``; ``summary`` is plain data.
     """
 
     frames: pd.DataFrame
@@ -51,14 +48,8 @@ def resimulate(
 ) -> Resimulation:
     """Simulate every measured drop-and-drag run with the null law and with the verdict's.
 
-    Runs that are the same to a law are simulated once.
-
-    Raises
-    ------
-    BadInput
-        If the case holds no drop-and-drag runs.
-    NotConverged
-        A simulation could not be solved.
+    Runs that are the same to a law are simulated once. Raises BadInput where there are no such
+    runs, NotConverged where a simulation could not be solved.
     """
     if "drop_drag" not in case.protocols:
         raise BadInput(f"{case.name}: no drop-and-drag runs to simulate")

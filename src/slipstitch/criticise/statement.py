@@ -49,25 +49,19 @@ def sentence(verdict: dict) -> str:
         rivals = " or ".join(
             " with ".join(RIVALS.get(name, name) for name in c) for c in verdict["alternatives"]
         )
-        return (
-            f"The model is wrong, but these data cannot distinguish between these causes: {rivals}."
-            + _power_of_ten(verdict)
-            + _left(verdict)
-            + _kept_back(verdict)
+        said = f", but these data cannot distinguish between these causes: {rivals}."
+    else:
+        titles = " and ".join(MECHANISMS[c].title for c in verdict["causes"])
+        coefficients = {coefficient.name for coefficient in COEFFICIENTS}
+        numbers = ", ".join(
+            f"{name} = {p['estimate']:.3g} [{p['ci95'][0]:.3g}, {p['ci95'][1]:.3g}]"
+            + ("" if p["unit"] == "1" else f" {p['unit']}")
+            for name, p in verdict["parameters"].items()
+            if name not in coefficients
         )
-    titles = " and ".join(MECHANISMS[c].title for c in verdict["causes"])
-    numbers = ", ".join(
-        f"{name} = {p['estimate']:.3g} [{p['ci95'][0]:.3g}, {p['ci95'][1]:.3g}]"
-        + ("" if p["unit"] == "1" else f" {p['unit']}")
-        for name, p in verdict["parameters"].items()
-        if name not in [coefficient.name for coefficient in COEFFICIENTS]
-    )
-    return (
-        f"The model is wrong because {titles} ({numbers})."
-        + _power_of_ten(verdict)
-        + _left(verdict)
-        + _kept_back(verdict)
-    )
+        said = f" because {titles} ({numbers})."
+    further = _power_of_ten(verdict) + _left(verdict) + _kept_back(verdict)
+    return f"The model is wrong{said}{further}"
 
 
 def _power_of_ten(verdict: dict) -> str:

@@ -44,12 +44,9 @@ def import_trace(path: Path, columns: Mapping[str, str], units: tuple[str, ...],
 
     Parameters
     ----------
-    columns : mapping
-        Of :data:`QUANTITIES` to the names of columns in the file.
-    units : tuple
-        Of the force, and of time and extension where they are not s and mm.
-    out : path
-        CSV, for a case's folder of traces.
+    columns : of :data:`QUANTITIES` to the names of columns in the file.
+    units : of the force, and of time and extension where they are not s and mm.
+    out : CSV, for a case's folder of traces.
 
     Raises
     ------

@@ -67,14 +67,9 @@ def glitches(
     """Return which readings (n,) are glitches.
 
     A glitch lies beyond both neighbours on either side and beyond the lines through them: a drop,
-    a corner or a peak between two slopes is none, however coarsely it is sampled.
-
-    Parameters
-    ----------
-    noise : float
-        As stated; where the readings themselves tell more, that counts.
-    ordinary : (low, high)
-        Beyond which more than three readings in a row, or the first or last ones, may be glitches.
+    a corner or a peak between two slopes is none. Beyond the ``ordinary`` range more than three
+    readings in a row, or the first or last ones, may be glitches. ``noise`` is as stated; where the
+    readings themselves tell more, that counts.
     """
     found = np.zeros(len(values), bool)
     if len(values) < 8:
@@ -209,19 +204,8 @@ def prepared(
 ) -> tuple[pd.DataFrame, tuple[DataFinding, ...]]:
     """Return traces in order, without glitches, and what was found on the way.
 
-    Parameters
-    ----------
-    name : str
-        Of the protocol.
-    runs, traces : tables
-    signals : columns that are looked at for glitches.
-    where : str
-        The file or folder of the traces.
-
-    Raises
-    ------
-    BadInput
-        If a clock can be understood in two ways.
+    ``signals`` are looked at for glitches; ``where`` is the file or folder of the traces. Raises
+    BadInput if a clock can be understood in two ways.
     """
     counts: Counter = Counter()
     parts = []

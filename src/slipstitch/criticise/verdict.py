@@ -10,17 +10,8 @@ import numpy as np
 
 from slipstitch.criticise.causes import ZEROS, DataFinding, Zero
 from slipstitch.criticise.covariates import COVARIATES
-from slipstitch.criticise.inference.candidates import (
-    FORM_SHARE,
-    LEFTOVER_SIGNIFICANCE,
-    OWN_SIGNIFICANCE,
-    STANDS_BESIDE,
-    TIE_BIC,
-    Candidate,
-    explains,
-    left_along_own,
-    stands_beside,
-)
+from slipstitch.criticise.inference import candidates
+from slipstitch.criticise.inference.candidates import Candidate
 from slipstitch.criticise.inference.evidence import SIGNIFICANCE, Evidence
 from slipstitch.criticise.inference.faulty_data import noise_findings, zero_findings
 from slipstitch.criticise.inference.rivals import TITLES
@@ -142,13 +133,14 @@ def _no_gain(e: Evidence) -> str | None:
 @_of_best(
     "structure left",
     "unknown",
-    f"What the best explanation leaves has a family-wise p below {LEFTOVER_SIGNIFICANCE}, and "
-    f"beside that its credit is below {STANDS_BESIDE:g}.",
+    "What the best explanation leaves has a family-wise p below "
+    f"{candidates.LEFTOVER_SIGNIFICANCE}, and beside that its credit is below "
+    f"{candidates.STANDS_BESIDE:g}.",
 )
 def _structure_left(e: Evidence) -> str | None:
     best = e.best
-    explained = best.left.global_p >= LEFTOVER_SIGNIFICANCE
-    if explained or stands_beside(best.chosen, best.left, best.judge):
+    explained = best.left.global_p >= candidates.LEFTOVER_SIGNIFICANCE
+    if explained or candidates.stands_beside(best.chosen, best.left, best.judge):
         return None
     return "structure is left that no one or two mechanisms remove"
 
@@ -157,10 +149,11 @@ def _structure_left(e: Evidence) -> str | None:
     "structure left along its own covariate",
     "unknown",
     "What is left has a shape along the covariate of a cause that is significant by itself "
-    f"(p below {OWN_SIGNIFICANCE:g}), and more than {100 * FORM_SHARE:g} % of its credit.",
+    f"(p below {candidates.OWN_SIGNIFICANCE:g}), and more than {100 * candidates.FORM_SHARE:g} % "
+    "of its credit.",
 )
 def _left_along_own(e: Evidence) -> str | None:
-    covariate = left_along_own(e.best.chosen, e.best.left)
+    covariate = candidates.left_along_own(e.best.chosen, e.best.left)
     if covariate is None:
         return None
     return f"structure is left along the {COVARIATES[covariate].title}, which the cause acts by"
@@ -179,13 +172,13 @@ def _may_be_nothing(e: Evidence) -> str | None:
     "unknown",
     f"Readings of one run disagree by more than {LARGEST_INSTRUMENT_FACTOR} times their stated "
     f"uncertainty ({LARGEST_INSTRUMENT_FACTOR * HEAVY_TAILS:g} where a sensor is found noisy), "
-    f"and the credit is below {STANDS_BESIDE:g}.",
+    f"and the credit is below {candidates.STANDS_BESIDE:g}.",
 )
 def _differs_within_runs(e: Evidence) -> str | None:
     tails = {finding.protocol: HEAVY_TAILS for finding in noise_findings(e.measurements)}
     kappas = {name: scatter.kappa for name, scatter in e.best.state.scatters.items()}
     noisy = [p for p in kappas if kappas[p] > LARGEST_INSTRUMENT_FACTOR * tails.get(p, 1.0)]
-    if not noisy or e.best.chosen.credit >= STANDS_BESIDE:
+    if not noisy or e.best.chosen.credit >= candidates.STANDS_BESIDE:
         return None
     protocol = max(noisy, key=kappas.__getitem__)
     return (
@@ -214,7 +207,7 @@ def _driver_not_recorded(e: Evidence) -> str | None:
     "A shape outside the library describes the data better than any mechanism.",
 )
 def _free_shape(e: Evidence) -> str | None:
-    if explains(e.null_outcome, e.best.chosen, e.measurements):
+    if candidates.explains(e.null_outcome, e.best.chosen, e.measurements):
         return None
     return "a shape outside the library describes the data better than any mechanism"
 
@@ -234,7 +227,9 @@ def _taken(e: Evidence) -> str | None:
     )
 
 
-@_of_best("tied", "confounded", f"Another explanation is within {TIE_BIC:g} units of BIC.")
+@_of_best(
+    "tied", "confounded", f"Another explanation is within {candidates.TIE_BIC:g} units of BIC."
+)
 def _tied(e: Evidence) -> str | None:
     return "" if len(e.ties) > 1 else None
 
@@ -319,12 +314,9 @@ def judged(evidence: Evidence) -> Analysis:
 
 
 def analyse(measurements: Measurements, seed: int = 1, replicates: int = 300) -> Analysis:
-    """Reach a verdict.
+    """Reach a verdict; the same data and seed give the same one.
 
-    Parameters
-    ----------
-    seed : of the simulated maxima; the same data and seed give the same verdict.
-    replicates : simulated data sets behind every family-wise p.
+    ``replicates`` simulated data sets are behind every family-wise p.
     """
     found = judged(Evidence(measurements, seed, replicates))
     tares = _unsure_tares(found)
@@ -335,26 +327,28 @@ def analyse(measurements: Measurements, seed: int = 1, replicates: int = 300) ->
         return found
     # Zeros may have taken a cause's place: does one explain the data as well without them?
     state = found.null_state
-    null, scatters, d = found.null, state.scatters, state.sensitivity
-    sound = replace(state.measurements, sound_sensors=True)
-    zeros = refit(state.measurements, (), null, scatters, d).log_likelihood
-    plain = refit(sound, (), null, scatters, d).log_likelihood
+    null, sound = found.null, replace(state.measurements, sound_sensors=True)
+
+    def likelihood(of: Measurements, causes=(), start=null, scatters=state.scatters) -> float:
+        return refit(of, causes, start, scatters, state.sensitivity).log_likelihood
+
+    zeros, plain = likelihood(state.measurements), likelihood(sound)
     if zeros - plain < ZEROS_NEEDED:
         return found
     evidence = Evidence(replace(measurements, sound_sensors=True), seed, replicates)
     promise = -min((c.bic for c in evidence.screened), default=0.0)
-    if not evidence.is_significant or plain + promise < zeros + 0.5 * TIE_BIC:
+    if not evidence.is_significant or plain + promise < zeros + 0.5 * candidates.TIE_BIC:
         return found  # not even if the fit gains twice what its linear test promises
     other = judged(evidence)
     chosen = other.chosen
     if other.verdict not in ("cause", "confounded") or chosen is None:
         return found
-    without = refit(sound, chosen.causes, chosen.fitted, chosen.scatters, d).log_likelihood
+    without = likelihood(sound, chosen.causes, chosen.fitted, chosen.scatters)
     extra = len(chosen.fitted.values) - len(null.values)
     without -= 0.5 * extra * np.log(max(found.runs, 2))
     # Where zeros explain it about as well, nothing is said: of campaigns that hold nothing, a
     # quarter would be said to hold something, and none of the bench's effects was found by it.
-    return other if without >= zeros + 0.5 * TIE_BIC else found
+    return other if without >= zeros + 0.5 * candidates.TIE_BIC else found
 
 
 def _unsure_tares(found: Analysis) -> tuple[tuple[str, Zero], ...]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from operator import itemgetter
+
 import numpy as np
 
 from slipstitch.criticise.case import Case
@@ -12,7 +14,7 @@ from slipstitch.criticise.inference.discrepancy import embedded_discrepancy
 from slipstitch.criticise.inference.evidence import SIGNIFICANCE
 from slipstitch.criticise.inference.faulty_data import estimated_zeros, scatter_findings
 from slipstitch.criticise.inference.fit import Fit
-from slipstitch.criticise.inference.gain import Gain, held_out_gain, plain_scatters
+from slipstitch.criticise.inference.gain import held_out_gain, plain_scatters
 from slipstitch.criticise.inference.intervals import not_exported, not_identified
 from slipstitch.criticise.inference.structure import Outcome
 from slipstitch.criticise.verdict import Analysis
@@ -26,9 +28,11 @@ CLOSE_BIC = 25.0
 def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> dict:
     """Everything a machine may want to know of a case's verdict."""
     chosen = analysis.chosen
-    candidates = [c for c in analysis.ranking if c.bic < min(_best(analysis) + CLOSE_BIC, 0.0)]
+    best = min((c.bic for c in analysis.ranking), default=0.0)
+    candidates = [c for c in analysis.ranking if c.bic < min(best + CLOSE_BIC, 0.0)]
     named = analysis.verdict in ("cause", "confounded")
     gain = held_out_gain(analysis, candidates[:12] if named else [])
+    models = sorted([((), 0.0), *((c.causes, c.bic) for c in analysis.ranking)], key=itemgetter(1))
     fitted = chosen.fitted if named and chosen is not None else analysis.null
     left = analysis.left_over or analysis.null_outcome
     intervals = analysis.intervals(fitted)
@@ -54,13 +58,13 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
         "discrepancy": discrepancy,
         "parameters": parameters,
         "null": {
-            "log_score_per_row": round(gain.null_score, 5),
-            "rmse": round(gain.rmse_null, 5),
+            "log_score_per_row": gain.pop("null_score"),
+            "rmse": gain["rmse_null"],
             "global_p": round(analysis.global_p, 5),
         },
         "residual_tests": residual_tests(left),
         "null_tests": residual_tests(analysis.null_outcome),
-        "gain": _gain(gain),
+        "gain": {"metric": "log_score_per_row", **gain, "selection_nested": True},
         "not_identified": unknown,
         "not_exported": not_exported(fitted.causes, unknown),
         "certificate": certificate(analysis.detectable, SIGNIFICANCE),
@@ -69,7 +73,10 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
             analysis.measurements, analysis.state, fitted.as_dict()
         ),
         "excluded_rows": [{"run_id": e.run_id, "reason": e.reason} for e in analysis.excluded],
-        "ranking": _ranking(analysis),
+        "ranking": [
+            {"model": list(causes), "delta_bic": round(float(bic - models[0][1]), 3)}
+            for causes, bic in models
+        ],
         "not_testable": dict(sorted(analysis.untestable().items())),
         "scatter": {
             p: {
@@ -88,39 +95,9 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
     }
 
 
-def _best(analysis: Analysis) -> float:
-    return min((c.bic for c in analysis.ranking), default=0.0)
-
-
-def _gain(gain: Gain) -> dict:
-    return {
-        "metric": "log_score_per_row",
-        "estimate": round(gain.estimate, 5),
-        "ci95": [round(gain.low, 5), round(gain.high, 5)],
-        "rmse_null": round(gain.rmse_null, 5),
-        "rmse_extended": round(gain.rmse_extended, 5),
-        "grouping": "specimen_id",
-        "n_groups": gain.groups,
-        "selection_nested": True,
-    }
-
-
-def _ranking(analysis: Analysis) -> list[dict]:
-    models: list[tuple[list[str], float]] = [(list(c.causes), c.bic) for c in analysis.ranking]
-    entries = sorted([([], 0.0), *models], key=lambda entry: entry[1])
-    best = entries[0][1]
-    return [{"model": m, "delta_bic": round(float(b - best), 3)} for m, b in entries]
-
-
 def residual_tests(outcome: Outcome) -> list[dict]:
     """The strongest shape of each covariate, p adjusted for all that was looked at."""
-    best: dict[str, int] = {}
-    for i, test in enumerate(outcome.tests):
-        told = test.family == "generic" and np.isfinite(outcome.log_p[i])
-        if not told or test.covariate is None:
-            continue
-        if test.covariate not in best or outcome.log_p[i] > outcome.log_p[best[test.covariate]]:
-            best[test.covariate] = i
+    best = outcome.strongest_shapes().items()
     return [
         {
             "covariate": covariate,
@@ -128,7 +105,7 @@ def residual_tests(outcome: Outcome) -> list[dict]:
             "p_adjusted": round(float(outcome.adjusted[i]), 5),
             "shape": outcome.tests[i].shape,
         }
-        for covariate, i in sorted(best.items(), key=lambda item: outcome.adjusted[item[1]])
+        for covariate, i in sorted(best, key=lambda item: outcome.adjusted[item[1]])
     ]
 
 
@@ -139,14 +116,14 @@ def _model(analysis: Analysis, fitted: Fit) -> dict:
     """
     zeros: dict[str, dict[str, list[float]]] = {}
     found, covariance = estimated_zeros(analysis.measurements, fitted, analysis.state)
-    for k, (protocol, zero) in enumerate(analysis.measurements.zeros):
-        own = [float(found[k]), float(np.sqrt(covariance[k, k]))]
-        zeros.setdefault(protocol, {})[zero.field] = own
+    own = zip(analysis.measurements.zeros, found, np.sqrt(np.diag(covariance)), strict=True)
+    for (protocol, zero), value, sd in own:
+        zeros.setdefault(protocol, {})[zero.field] = [float(value), float(sd)]
     return {
         "causes": list(fitted.causes),
         "parameters": [p.name for p in fitted.parameters],
-        "values": [float(v) for v in fitted.values],
-        "covariance": [[float(v) for v in row] for row in fitted.covariance],
+        "values": fitted.values.tolist(),
+        "covariance": fitted.covariance.tolist(),
         "zeros": zeros,
         "scatter": {
             protocol: [s.specimen, s.run, s.kappa]
@@ -159,10 +136,10 @@ def extended_model(verdict: dict, which: str = "extended") -> dict:
     """Friction laws of face and edge, and what departs from the nominal bench and fabric.
 
     The laws are in the form of :meth:`FrictionLaw.to_dict`; ``bench`` holds fields of
-    :class:`slipstitch.criticise.causes.Bench`. ``which`` may be ``null``. A side whose
-    coefficient the data do not tell is left out. Where no mechanism explains the data,
-    ``discrepancy`` has the smooth factor on the coefficients. So is a cause with a parameter that
-    they do not tell (``not_exported``); without any other, the coefficients are those of no cause.
+    :class:`slipstitch.criticise.causes.Bench`. ``which`` may be ``null``. A side whose coefficient
+    the data do not tell is left out, and so is a cause with such a parameter (``not_exported``);
+    without any other, the coefficients are those of no cause. Where no mechanism explains the data,
+    ``discrepancy`` has the smooth factor.
     """
     model = verdict["models"][which]
     left_out = verdict["not_exported"] if which == "extended" else {}

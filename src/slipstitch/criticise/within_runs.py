@@ -8,9 +8,12 @@ troughs are predicted from the rest.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
+from operator import itemgetter
 
 import numpy as np
 import pandas as pd
+from scipy.stats import norm
 from scipy.stats import t as student
 
 from slipstitch.base.page.wording import with_interval
@@ -77,11 +80,9 @@ def within_runs(case: Case, measurements: Measurements) -> dict:
 def _runs(case: Case) -> list[_Run]:
     runs = case.tables["spring_slider_runs"]
     parts = dict(list(case.tables["spring_slider"].groupby("run_id", sort=False)))
-    cloth, added = masses_of(runs, case.nominal)
-    mass = cloth + added
     found = []
-    for (_, run), load_kg in zip(runs.iterrows(), mass, strict=True):
-        slider = Slider(float(load_kg), run["spring_N_m"], 1e-3 * run["speed_mm_s"])
+    for (_, run), mass_kg in zip(runs.iterrows(), sum(masses_of(runs, case.nominal)), strict=True):
+        slider = Slider(float(mass_kg), run["spring_N_m"], 1e-3 * run["speed_mm_s"])
         trace = parts[run["run_id"]]
         if len(trace) < 20 or not np.ptp(trace["t_s"]) > 0 or slider.mass_kg <= 0:
             continue
@@ -92,10 +93,12 @@ def _runs(case: Case) -> list[_Run]:
     return [run for run in found if len(run.place_m) >= 2 * FEWEST_SLIPS]
 
 
-def _uneven_track(runs: list[_Run]) -> dict | None:
-    scores: dict[str, list[float]] = {name: [] for name, _ in LADDER}
-    squares: dict[str, list[float]] = {name: [] for name, _ in LADDER}
-    lengths, used = [], 0
+def _left_out(runs: list[_Run]) -> tuple[pd.DataFrame, list[float], int]:
+    """Score and squared error of every model by piece of track left out.
+
+    And the lengths of the track, and how many runs were used.
+    """
+    parts, lengths, used = [], [], 0
     for run in runs:
         others = [other for other in runs if other is not run]
         way = float(np.ptp(run.place_m))
@@ -103,27 +106,28 @@ def _uneven_track(runs: list[_Run]) -> dict | None:
             continue
         piece = np.floor((run.place_m - run.place_m.min()) / way * PIECES).astype(int)
         used += 1
-        for parity in (0, 1):
-            test = piece % 2 == parity
+        for test in (piece % 2 == 0, piece % 2 == 1):
             if min(test.sum(), (~test).sum()) < FEWEST_SLIPS:
                 continue
             forecasts, length = _forecasts(run, others, test, way)
             lengths.append(length)
             for name, (centre, half, sd) in forecasts.items():
-                score, error = np.zeros(int(test.sum())), np.zeros(int(test.sum()))
-                for sign in (1.0, -1.0):
-                    miss = run.level[test] + sign * run.half[test] - centre - sign * half
-                    score += -np.log(sd) - 0.5 * (miss / sd) ** 2 - 0.5 * np.log(2 * np.pi)
-                    error += miss**2
-                for b in np.unique(piece[test]):
-                    mine = piece[test] == b
-                    scores[name].append(float(score[mine].mean() / 2))
-                    squares[name].append(float(error[mine].mean() / 2))
+                off, more = run.level[test] - centre, run.half[test] - half
+                misses = np.stack([off + more, off - more])
+                score = norm.logpdf(misses, scale=sd).mean(axis=0)
+                table = pd.DataFrame({"score": score, "error": (misses**2).mean(axis=0)})
+                parts.append(table.groupby(piece[test]).mean().assign(model=name))
+    return pd.concat(parts or [pd.DataFrame()]), lengths, used
+
+
+def _uneven_track(runs: list[_Run]) -> dict | None:
+    found, lengths, used = _left_out(runs)
     if used < FEWEST_RUNS or len(lengths) < 2:
         return None
-    ladder, before = [], np.array(scores["common"])
+    of_model = dict(list(found.groupby("model")))
+    ladder, before = [], of_model["common"]["score"].to_numpy()
     for name, title in LADDER:
-        score = np.array(scores[name])
+        score = of_model[name]["score"].to_numpy()
         step = score - before
         half = student.ppf(0.975, len(step) - 1) * step.std(ddof=1) / np.sqrt(len(step))
         ladder.append(
@@ -133,7 +137,7 @@ def _uneven_track(runs: list[_Run]) -> dict | None:
                 "log_score": round(float(score.mean()), 4),
                 "step": round(float(step.mean()), 4),
                 "step_ci95": [round(float(step.mean() + k * half), 4) for k in (-1, 1)],
-                "error_of_weight": round(float(np.sqrt(np.mean(squares[name]))), 5),
+                "error_of_weight": round(float(np.sqrt(of_model[name]["error"].mean())), 5),
             }
         )
         before = score
@@ -179,17 +183,14 @@ def _along(place: np.ndarray, level: np.ndarray, known: np.ndarray, way: float):
         index = index[np.linspace(0, len(index) - 1, MOST_SLIPS).astype(int)]
     mean, variance = level[index].mean(), max(level[index].var(), 1e-8)
     gaps = np.abs(place[index][:, None] - place[index])
-    best = None
-    for length in np.array(LENGTHS) * way:
-        for nugget in NUGGETS:
-            matrix = (1 - nugget) * np.exp(-gaps / length) + nugget * np.eye(len(index))
-            factor = np.linalg.cholesky(variance * matrix)
-            white = np.linalg.solve(factor, level[index] - mean)
-            likelihood = -0.5 * white @ white - np.log(np.diag(factor)).sum()
-            if best is None or likelihood > best[0]:
-                best = (likelihood, length, nugget, variance * matrix)
-    assert best is not None  # LENGTHS and NUGGETS are not empty
-    _, length, nugget, matrix = best
+    tried = []
+    for length, nugget in product(np.array(LENGTHS) * way, NUGGETS):
+        matrix = (1 - nugget) * np.exp(-gaps / length) + nugget * np.eye(len(index))
+        factor = np.linalg.cholesky(variance * matrix)
+        white = np.linalg.solve(factor, level[index] - mean)
+        likelihood = -0.5 * white @ white - np.log(np.diag(factor)).sum()
+        tried.append((likelihood, length, nugget, variance * matrix))
+    _, length, nugget, matrix = max(tried, key=itemgetter(0))
     cross = variance * (1 - nugget) * np.exp(-np.abs(place[:, None] - place[index]) / length)
     weights = np.linalg.solve(matrix, cross.T)
     left = variance - np.sum(cross * weights.T, axis=1)
@@ -253,11 +254,8 @@ def _certain_track(findings: dict) -> dict | None:
 
 def departure(findings: dict) -> str:
     """What is beyond doubt within the runs and no plain friction, as a clause; or nothing."""
-    impact = findings.get("push")
-    found = []
-    if _certain_track(findings):
-        found.append("friction changes along the track")
-    if impact is not None and impact["excess_ci95"][0] > 0:
+    found = ["friction changes along the track"] if _certain_track(findings) else []
+    if "push" in findings and findings["push"]["excess_ci95"][0] > 0:
         found.append("the first peak is more than the impact")
     return " and ".join(found)
 

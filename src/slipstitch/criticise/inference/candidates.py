@@ -12,12 +12,12 @@ from scipy.stats import chi2 as chi_square
 from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.inference.fit import Fit, Weights, fit
 from slipstitch.criticise.inference.mixed_model import Scatter, make_groups
-from slipstitch.criticise.inference.ratio import Ratios
 from slipstitch.criticise.inference.state import (
     Refit,
     State,
     alternatives,
     nuisance_columns,
+    ratios_of,
     refit,
     state_at,
 )
@@ -175,11 +175,12 @@ def linear_ranking(state: State, outcome: Outcome) -> list[Candidate]:
     for test, ratio, log_p in zip(outcome.tests, outcome.statistic, outcome.log_p, strict=True):
         if test.mechanism is not None and np.isfinite(log_p):
             best[test.mechanism] = max(best.get(test.mechanism, 0.0), float(ratio))
-    cost = np.log(max(state.measurements.runs, 2))
-    found = []
-    for name, ratio in best.items():
-        bic = len(MECHANISMS[name].parameters) * cost + rarity((name,)) - ratio
-        found.append(Candidate((name,), state.fitted, ratio, bic, state.scatters))
+    runs = np.log(max(state.measurements.runs, 2))
+    costs = {name: len(MECHANISMS[name].parameters) * runs + rarity((name,)) for name in best}
+    found = [
+        Candidate((name,), state.fitted, ratio, costs[name] - ratio, state.scatters)
+        for name, ratio in best.items()
+    ]
     return sorted(found, key=lambda c: c.bic)
 
 
@@ -204,9 +205,8 @@ def _starts(causes: tuple[str, ...], known: dict[str, float]) -> list[dict[str, 
 def explains(outcome: Outcome, chosen: Candidate, measurements: Measurements) -> bool:
     """Does the chosen model beat the best generic shape (its place or period counted)?
 
-    For single moderate effects only: a shape is linear, which says little far from the null, and
-    one that beats a strong cause leaves structure behind. Two mechanisms along one covariate are
-    but a curve in it unless they are clearly better than every free one.
+    For single moderate effects only: a shape says little far from the null. Two mechanisms along
+    one covariate are but a curve in it unless they are clearly better than every free one.
     """
     runs = np.log(max(measurements.runs, 2))
     covariates = Counter(MECHANISMS[cause].covariate for cause in chosen.causes)
@@ -226,8 +226,7 @@ def explains(outcome: Outcome, chosen: Candidate, measurements: Measurements) ->
 def stands_beside(chosen: Candidate, left: Outcome, judge: Judge) -> bool:
     """Is the evidence for a model overwhelming beside the clearest shape that it leaves?
 
-    It must be more than that for the shape as well: what is left may be an uneven track beside a
-    strong cause, but then the cause is the greater of the two.
+    It must be more than that for the shape as well: the cause has to be the greater of the two.
     """
     strongest = left.strongest("generic")
     if strongest is None or chosen.credit < STANDS_BESIDE:
@@ -241,23 +240,18 @@ def stands_beside(chosen: Candidate, left: Outcome, judge: Judge) -> bool:
 def left_along_own(chosen: Candidate, left: Outcome) -> str | None:
     """The covariate of a cause along which a shape is left; None where there is none.
 
-    Looked at by itself: a law that bends where the data do not is not the law, however many other
-    covariates were tried; but its form may be a little off.
+    Looked at by itself: a law that bends where the data do not is not the law.
     """
     for cause in chosen.causes:
-        own = [
-            i
-            for i, test in enumerate(left.tests)
-            if test.covariate is not None
-            and test.covariate == MECHANISMS[cause].covariate
-            and np.isfinite(left.log_p[i])
-        ]
-        if not own:
+        own = MECHANISMS[cause].covariate
+        tests = [i for i, test in enumerate(left.tests) if own and test.covariate == own]
+        tests = [i for i in tests if np.isfinite(left.log_p[i])]
+        if not tests:
             continue
-        best = max(own, key=lambda i: left.log_p[i])
-        significant = len(own) * 10.0 ** -left.log_p[best] < OWN_SIGNIFICANCE
+        best = max(tests, key=lambda i: left.log_p[i])
+        significant = len(tests) * 10.0 ** -left.log_p[best] < OWN_SIGNIFICANCE
         if significant and left.statistic[best] > FORM_SHARE * chosen.credit:
-            return MECHANISMS[cause].covariate
+            return own
     return None
 
 
@@ -266,8 +260,8 @@ def tied_with(
 ) -> list[Candidate]:
     """Those that the data do not tell from the chosen one, or the design could not.
 
-    The evidence against a rival counts for no more than the design would give on average if the
-    chosen model were exact: what exceeds it comes of noise, of sensors or of the laws' own errors.
+    Evidence against a rival counts for no more than the design would give on average if the chosen
+    model were exact: the rest comes of noise, of sensors or of the laws' own errors.
     """
     tied = []
     for other in others:
@@ -292,10 +286,7 @@ def _expected_evidence(chosen: Candidate, other: Candidate, judge: Judge, state:
 
 
 def second_is_significant(pair: Candidate, singles: list[Candidate], left: Outcome) -> bool:
-    """Is the second mechanism significant beside the better of the two alone (Bonferroni)?
-
-    ``left`` are the tests beside the best single one, of which the second may be any.
-    """
+    """Is the second mechanism significant beside the better of the two alone (Bonferroni)?"""
     alone = [c for c in singles if c.causes[0] in pair.causes]
     if not alone:
         return False
@@ -350,6 +341,4 @@ def _beside(judge: Judge, single: Candidate) -> tuple[list[Test], np.ndarray]:
     found = alternatives(m, fitted)
     tests = [test for test in found.tests if test.family == "mechanism"]
     groups = make_groups(m, found.sensitivity)
-    residual = m.y - fitted.prediction
-    ratios = Ratios(tests, fitted.jacobian, residual, groups, single.scatters, m.zero_columns)
-    return tests, ratios.observed().max(axis=0)
+    return tests, ratios_of(m, fitted, tests, groups, single.scatters).observed().max(axis=0)

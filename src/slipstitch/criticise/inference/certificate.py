@@ -8,7 +8,7 @@ named where the part of it that no other mechanism can imitate tells it from the
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -19,17 +19,11 @@ from scipy.stats import ncx2, norm
 
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.causes import MECHANISMS
+from slipstitch.criticise.inference import mixed_model
 from slipstitch.criticise.inference.candidates import TIE_BIC, Candidate
 from slipstitch.criticise.inference.fit import Fit, carried_over, jacobian, named
-from slipstitch.criticise.inference.mixed_model import (
-    KAPPA_LIMITS,
-    Clusters,
-    Group,
-    Scatter,
-    make_groups,
-)
-from slipstitch.criticise.inference.ratio import Ratios
-from slipstitch.criticise.inference.state import alternatives
+from slipstitch.criticise.inference.mixed_model import Clusters, Group, Scatter
+from slipstitch.criticise.inference.state import alternatives, ratios_of
 from slipstitch.criticise.inference.structure import ERROR_WEIGHTS, Outcome, Test
 from slipstitch.criticise.measurements import Measurements, measurements_of
 from slipstitch.criticise.protocols import PROTOCOLS
@@ -76,12 +70,7 @@ class Detectable:
 def smallest_detectable(
     outcome: Outcome, fitted: Fit, limit: float, rivals: dict[str, tuple[float, str]]
 ) -> dict[str, Detectable]:
-    """The smallest effect of every mechanism beside a fitted model, at a family-wise limit.
-
-    Parameters
-    ----------
-    rivals : by :func:`closest_rivals`.
-    """
+    """The smallest effect of every mechanism beside a fitted model, at a family-wise limit."""
     sensitivity = fitted.sensitivity()
     acting = sensitivity != 0
     found: dict[str, Detectable] = {}
@@ -127,9 +116,7 @@ def closest_rivals(
 ) -> dict[str, tuple[float, str]]:
     """The share of every mechanism's information that its closest rival leaves, and that rival.
 
-    Parameters
-    ----------
-    base, zeros : (n, p) and (n, z) columns of the fitted model, the latter with unit prior sd.
+    ``base`` and ``zeros`` are columns of the fitted model, the latter with unit prior sd.
     """
     mechanisms = [test for test in tests if test.mechanism is not None]
     columns = np.column_stack([base, zeros, *(test.columns for test in mechanisms)])
@@ -177,10 +164,7 @@ def plain_model(
 ) -> tuple[Fit, dict[str, Scatter]]:
     """The null of a campaign that is still to be made, and the scatter of each protocol.
 
-    Parameters
-    ----------
-    design : its features, with the errors expected of them.
-    assumed : the coefficients, ``scatter_specimen``, ``scatter_run`` and ``noise_factor``.
+    ``assumed``: the coefficients, ``scatter_specimen``, ``scatter_run`` and ``noise_factor``.
     """
     parameters = list(design.null_parameters)
     values = np.array([np.log(assumed[p.name]) for p in parameters])
@@ -190,7 +174,7 @@ def plain_model(
     for block in design.blocks:
         # What the traces themselves tell of the noise is in the features' uncertainties already.
         told = max((noise.allowance for noise in block.trace_noises), default=1.0)
-        factor = float(np.clip(assumed["noise_factor"] / told, *KAPPA_LIMITS))
+        factor = float(np.clip(assumed["noise_factor"] / told, *mixed_model.KAPPA_LIMITS))
         scatters[block.protocol] = Scatter(
             assumed["scatter_specimen"], assumed["scatter_run"], factor
         )
@@ -207,12 +191,11 @@ def of_design(
 ) -> dict[str, Detectable]:
     """The same for a campaign that is still to be made, at its plain model."""
     tests = alternatives(design, plain).tests
-    groups = make_groups(design, plain.sensitivity())
-    nothing = np.zeros(len(design.y))
-    fixed, zeros = plain.jacobian, design.zero_columns
-    ratios = Ratios(tests, fixed, nothing, groups, scatters, zeros)
+    groups = mixed_model.make_groups(design, plain.sensitivity())
+    exact = replace(design, y=plain.prediction)
+    ratios = ratios_of(exact, plain, tests, groups, scatters)
     outcome = ratios.outcome(np.random.default_rng(seed), replicates)
-    rivals = closest_rivals(tests, fixed, zeros, groups, scatters)
+    rivals = closest_rivals(tests, plain.jacobian, design.zero_columns, groups, scatters)
     return smallest_detectable(outcome, plain, limit, rivals)
 
 
@@ -316,7 +299,7 @@ def _expected(fitted: Fit, design: Measurements, both, scatters: dict[str, Scatt
     scatter = scatters.get(design.protocol[0]) or Scatter(0.04, 0.03, 1.2)
     known = fitted.as_dict()
     values = {p.name: known.get(p.name, p.null) for p in design.null_parameters}
-    group = make_groups(design, design.sensitivity(values))[0]
+    group = mixed_model.make_groups(design, design.sensitivity(values))[0]
     variance = group.variance(scatter) + of_one + of_other
     return float(0.5 * (one - other) @ np.linalg.solve(variance, one - other))
 

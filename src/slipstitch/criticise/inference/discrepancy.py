@@ -7,7 +7,7 @@ short formula may fit as well as the curve: line, exponential, power law, logari
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
@@ -15,7 +15,6 @@ from scipy.stats import t as student
 
 from slipstitch.criticise.covariates import COVARIATES
 from slipstitch.criticise.inference.fit import Fit
-from slipstitch.criticise.inference.ratio import Ratios
 from slipstitch.criticise.inference.smooth_factor import (
     LEVEL_SD,
     SPEED,
@@ -29,7 +28,7 @@ from slipstitch.criticise.inference.smooth_factor import (
     sums_of,
     track_along,
 )
-from slipstitch.criticise.inference.state import State
+from slipstitch.criticise.inference.state import State, ratios_of
 from slipstitch.criticise.measurements import Measurements
 
 AS_WELL_BIC, MOST_EDGES, LEAST_FACTOR = 2.0, 40, 0.02
@@ -41,34 +40,24 @@ SIGNIFICANCE = 0.04
 REACH = 1.96  # of a 95 % band, in standard deviations
 
 
-@dataclass(frozen=True)
-class _Shape:
-    """A short formula: g of the plain covariate in one parameter, and how it is written.
+def _shapes(track: Track, edge: float) -> dict[str, tuple[Callable, Callable, Callable]]:
+    """Short formulas along a covariate, each in one parameter a, a step at ``edge``.
 
-    ``places`` counts parameters that were set beforehand.
+    By name: g of the plain covariate and a, the text, and what is said of a.
     """
-
-    name: str
-    g: Callable[[np.ndarray, float], np.ndarray]
-    text: Callable[[float], str]
-    parameter: Callable[[float], float]
-    places: int = 0
-
-
-def _shapes(track: Track, edge: float) -> list[_Shape]:
-    """The named shapes along a covariate, a step at ``edge``."""
-    name, unit = track.covariate.name, track.covariate.unit
-    symbol, logarithmic = SYMBOLS[name], track.covariate.logarithmic
+    name, symbol = track.covariate.name, SYMBOLS[track.covariate.name]
     plain = track.plain_knots
     span = float(np.ptp(plain))
-    middle = float(f"{(plain[0] + plain[-1]) / 2:.2g}")
-    at = REFERENCE.get(name, middle)
-    unit = "" if name == "load_ratio" else f" {unit}"
+    at = REFERENCE.get(name, float(f"{(plain[0] + plain[-1]) / 2:.2g}"))
+    unit = "" if name == "load_ratio" else f" {track.covariate.unit}"
     over = symbol if name == "load_ratio" else f"{symbol}/({at:g}{unit})"
     apart = f"({symbol} - {at:g}{unit})"
 
-    def over_length(length):
-        return f"({length:.3g}{unit})" if unit else f"{length:.3g}"
+    def slope(a):
+        return a / span
+
+    def same(a):
+        return a
 
     def signed(a):
         return f"{'-' if a < 0 else '+'} {abs(a):.3g}"
@@ -76,45 +65,31 @@ def _shapes(track: Track, edge: float) -> list[_Shape]:
     def line(c, a, scaled=lambda c: (c - at) / span):
         return np.log(np.maximum(1.0 + a * scaled(c), LEAST_FACTOR))
 
-    shapes = [
-        _Shape(
-            "line",
-            line,
-            lambda a: f"mu (1 {signed(a / span)}{unit and '/' + unit[1:]} {apart})",
-            lambda a: a / span,
-        ),
-        _Shape(
-            "exponential",
-            lambda c, a: a * (c - at) / span,
-            lambda a: (
-                f"mu exp({'-' if a < 0 else ''}{apart}/{over_length(span / max(abs(a), 1e-9))})"
-            ),
-            lambda a: a / span,
-        ),
-    ]
-    if logarithmic:
-        shapes += [
-            _Shape(
-                "power law",
-                lambda c, a: a * np.log(c / at),
-                lambda a: f"mu ({over})^{a:.3g}",
-                lambda a: a,
-            ),
-            _Shape(
-                "logarithm",
-                lambda c, a: line(c, a, lambda c: np.log10(c / at)),
-                lambda a: f"mu (1 {signed(a)} log10({over}))",
-                lambda a: a,
-            ),
-        ]
-    shapes.append(
-        _Shape(
-            "step",
-            lambda c, a: a * (c > edge),
-            lambda a: f"mu, {np.exp(a):.3g} mu where {symbol} > {edge:g}{unit}",
-            lambda a: float(np.exp(a)),
-            places=1,
+    def exponential(a):
+        length = f"{span / max(abs(a), 1e-9):.3g}{unit}"
+        length = f"({length})" if unit else length
+        return f"mu exp({'-' if a < 0 else ''}{apart}/{length})"
+
+    per_unit = f"/{unit[1:]}" if unit else ""
+    shapes = {
+        "line": (line, lambda a: f"mu (1 {signed(slope(a))}{per_unit} {apart})", slope),
+        "exponential": (lambda c, a: a * (c - at) / span, exponential, slope),
+    }
+    if track.covariate.logarithmic:
+        shapes["power law"] = (
+            lambda c, a: a * np.log(c / at),
+            lambda a: f"mu ({over})^{a:.3g}",
+            same,
         )
+        shapes["logarithm"] = (
+            lambda c, a: line(c, a, lambda c: np.log10(c / at)),
+            lambda a: f"mu (1 {signed(a)} log10({over}))",
+            same,
+        )
+    shapes["step"] = (
+        lambda c, a: a * (c > edge),
+        lambda a: f"mu, {np.exp(a):.3g} mu where {symbol} > {edge:g}{unit}",
+        np.exp,
     )
     return shapes
 
@@ -152,27 +127,24 @@ def short_formula(
     cost = np.log(max(problem.measurements.runs, 2))
     limit = -2 * curve.log_likelihood + 2 * cost
     best, unknown = None, []
-    for shape in _shapes(track, _edge(track, curve)):
-
-        def log_factor(plain, values, shape=shape):
-            return shape.g(plain, float(values[0]))
-
-        found = problem.fit(Form(track, log_factor, np.array([0.0]), None))
+    for name, (g, *written) in _shapes(track, _edge(track, curve)).items():
+        form = Form(track, lambda plain, values, g=g: g(plain, float(values[0])), np.zeros(1), None)
+        found = problem.fit(form)
         if not found.converged:
-            unknown.append(shape.name)
+            unknown.append(name)
             continue
-        bic = -2 * found.log_likelihood + (1 + shape.places) * cost
+        # The place of a step was set beforehand.
+        bic = -2 * found.log_likelihood + (2 if name == "step" else 1) * cost
         if best is None or bic < best[0]:
-            best = bic, shape, found
+            best = bic, name, written, found
     if best is None or best[0] > limit + AS_WELL_BIC:
         return None, unknown
-    bic, shape, found = best
+    bic, name, (text, said), found = best
     value, half = float(found.values[0]), float(reach * np.sqrt(found.covariance[-1, -1]))
-    ends = np.array([shape.parameter(value + step) for step in (-half, 0.0, half)])
-    low, estimate, high = rounded(np.sort(ends))
+    low, estimate, high = rounded(np.sort([said(value + step) for step in (-half, 0.0, half)]))
     formula = {
-        "text": shape.text(value),
-        "shape": shape.name,
+        "text": text(value),
+        "shape": name,
         "parameter": estimate,
         "ci95": [low, high],
         "coefficients": dict(zip(names, rounded(np.exp(found.level)), strict=True)),
@@ -354,10 +326,9 @@ def _tried(problem: Problem, tracks, state: State, rng, replicates: int) -> dict
     """Family-wise p of a smooth curve along every covariate, in any protocol or in all."""
     if not tracks:
         return {}
-    m, null = problem.measurements, problem.null
+    m = problem.measurements
     tests = [track.test(m, state.sensitivity, problem.usable) for track in tracks]
-    residual = m.y - null.prediction
-    ratios = Ratios(tests, null.jacobian, residual, state.groups, state.scatters, m.zero_columns)
+    ratios = ratios_of(m, problem.null, tests, state.groups, state.scatters)
     outcome = ratios.outcome(rng, replicates, (SIGNIFICANCE,))
     found: dict[str, float] = {}
     for test, p in zip(outcome.tests, outcome.adjusted, strict=True):

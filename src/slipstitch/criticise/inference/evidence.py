@@ -8,17 +8,8 @@ from functools import cached_property
 import numpy as np
 
 from slipstitch.criticise.causes import MECHANISMS
-from slipstitch.criticise.inference.candidates import (
-    MOST_ROUNDS,
-    Candidate,
-    Judge,
-    fitted_pairs,
-    linear_ranking,
-    promising,
-    second_is_significant,
-    tied_with,
-    with_law_error,
-)
+from slipstitch.criticise.inference import candidates
+from slipstitch.criticise.inference.candidates import Candidate, Judge
 from slipstitch.criticise.inference.certificate import (
     Detectable,
     closest_rivals,
@@ -39,13 +30,10 @@ MOST_BESIDE = 3
 
 @dataclass(frozen=True)
 class Best:
-    """The best explanation: one or two mechanisms, and what they leave.
+    """The best explanation: one or two mechanisms with their scatter, and tests of what they leave.
 
-    Attributes
-    ----------
-    chosen, state, left : its fit, the scatter there, tests of what is left.
-    ranking : every candidate that was fitted, by BIC.
-    rivals : those that may stand in its place.
+    ``ranking`` has every candidate that was fitted, by BIC, ``rivals`` those that may stand in its
+    place.
     """
 
     chosen: Candidate
@@ -85,7 +73,7 @@ class Evidence:
     @cached_property
     def null_outcome(self) -> Outcome:
         """Tests of everything beyond plain friction."""
-        most = MOST_ROUNDS * self.replicates
+        most = candidates.MOST_ROUNDS * self.replicates
         return self.null_state.outcome(self._rng, most, (SIGNIFICANCE,))
 
     @property
@@ -104,7 +92,7 @@ class Evidence:
     @cached_property
     def screened(self) -> list[Candidate]:
         """Single mechanisms by their ratio beside the null, none fitted."""
-        return linear_ranking(self.null_state, self.null_outcome)
+        return candidates.linear_ranking(self.null_state, self.null_outcome)
 
     @property
     def runs(self) -> int:
@@ -133,8 +121,8 @@ class Evidence:
         judge, singles, m = self._singles()
         rng = self._rng
         chosen, state, left = judge.tested(singles[0], m, rng, self.replicates)
-        pairs = fitted_pairs(judge, singles, left)
-        accepted = [p for p in pairs if second_is_significant(p, singles, left)]
+        pairs = candidates.fitted_pairs(judge, singles, left)
+        accepted = [p for p in pairs if candidates.second_is_significant(p, singles, left)]
         accepted = [p for p in accepted if not self.unsure(p)]
         ranking = sorted(singles + pairs, key=lambda c: c.bic)
         if accepted and accepted[0].bic < chosen.bic:
@@ -154,7 +142,7 @@ class Evidence:
         m = state.measurements
         inflation = self.null_outcome.mechanism_inflation()
         judge = Judge(m, null, state.scatters, state.sensitivity, inflation)
-        ranking = judge.ranked(promising(self.screened))
+        ranking = judge.ranked(candidates.promising(self.screened))
         # Outliers are judged again beside the best model: what the null could not explain, it may.
         beside: set[tuple[str, ...]] = set()
         while ranking[0].bic < -2 and ranking[0].causes not in beside and len(beside) < MOST_BESIDE:
@@ -167,7 +155,7 @@ class Evidence:
                 base = fit(m, weights, (), null.as_dict())
                 judge = Judge(m, base, state.scatters, base.sensitivity(), inflation)
                 ranking = judge.ranked(ranking, fitted=True)
-        imprecise = with_law_error(m, ranking[0].fitted)
+        imprecise = candidates.with_law_error(m, ranking[0].fitted)
         if imprecise is not m:
             judge = replace(judge, measurements=imprecise, bases={})
             ranking = judge.ranked(ranking, fitted=True)
@@ -197,7 +185,7 @@ class Evidence:
     def ties(self) -> list[tuple[str, ...]]:
         """The best explanation and those that the data do not tell from it."""
         best = self.best
-        tied = tied_with(best.chosen, best.rivals, best.judge, best.state)
+        tied = candidates.tied_with(best.chosen, best.rivals, best.judge, best.state)
         return [best.chosen.causes, *(c.causes for c in tied)]
 
     def untestable(self) -> dict[str, str]:

@@ -14,16 +14,9 @@ import numpy as np
 from scipy.stats import chi2 as chi_square
 
 from slipstitch.criticise.causes import DataFinding
+from slipstitch.criticise.inference import mixed_model
 from slipstitch.criticise.inference.fit import Fit, Weights, fit
-from slipstitch.criticise.inference.mixed_model import (
-    START_SCATTER,
-    Clusters,
-    Group,
-    Scatter,
-    estimate_scatter,
-    make_groups,
-    zeros_of,
-)
+from slipstitch.criticise.inference.mixed_model import Clusters, Group, Scatter
 from slipstitch.criticise.inference.state import (
     Alternatives,
     State,
@@ -89,7 +82,7 @@ def _first_fit(measurements: Measurements, causes: tuple[str, ...]) -> Fit:
     values: dict[str, float] = {}
     for _ in range(2):
         named = {p.name: values.get(p.name, p.null) for p in measurements.null_parameters}
-        scatters = dict.fromkeys(np.unique(measurements.protocol), START_SCATTER)
+        scatters = dict.fromkeys(np.unique(measurements.protocol), mixed_model.START_SCATTER)
         weights = Weights(measurements, measurements.sensitivity(named), scatters)
         fitted = fit(measurements, weights, causes, values)
         values = fitted.as_dict()
@@ -101,7 +94,7 @@ def with_heavy_tails(measurements: Measurements, fitted: Fit, found: Alternative
     m = measurements
     u, astray, outliers = m.u.copy(), m.astray.copy(), []
     residual = m.y - fitted.prediction
-    for group in make_groups(m, found.sensitivity):
+    for group in mixed_model.make_groups(m, found.sensitivity):
         if len(np.unique(group.run)) < FEWEST_RUNS:
             continue
         tails = _Tails(m, group, residual[group.index], found)
@@ -146,10 +139,10 @@ class _Tails:
         self._residual, self._tests = residual, found.tests
         # Effects would count as scatter, and hide what lies far off, without columns for them.
         self._rich = np.column_stack(
-            [rich_columns(found.tests, group), zeros_of(measurements, group)]
+            [rich_columns(found.tests, group), mixed_model.zeros_of(measurements, group)]
         )
         self._free, self._effects = group.level(), 0
-        self._scatter = START_SCATTER
+        self._scatter = mixed_model.START_SCATTER
         _, self._run = np.unique(group.run, return_inverse=True)
         self._quantity = measurements.rows["quantity"].to_numpy()[group.index]
         self._noise = np.ones(len(residual))
@@ -157,18 +150,17 @@ class _Tails:
 
     def update(self, number: int) -> None:
         """Scatter, then the probabilities of the wide components, then the sensors' noise."""
-        residual, group = self._residual[:, None], self.group
-        scatter, _ = estimate_scatter(group, residual[:, 0], self._free, self._rich, self._scatter)
+        scatter = self._estimated(self._scatter)
         precision = self._precision(scatter)
         last = number == ROUNDS - 1 or self._effects == MOST_EFFECTS
         column = None if last else self._outstanding(precision)
         if column is not None:
             self._effects += 1
             self._free = np.column_stack([self._free, column])
-            scatter, _ = estimate_scatter(group, residual[:, 0], self._free, self._rich, scatter)
+            scatter = self._estimated(scatter)
             precision = self._precision(scatter)
         self._scatter = scatter
-        pulled = precision @ residual[:, 0]
+        pulled = precision @ self._residual
         usual = (scatter.kappa * self._noise * self._stated.u) ** 2
         self._judge(precision, pulled, usual)
         if number == 0:
@@ -177,7 +169,11 @@ class _Tails:
             self._louder(precision, pulled, usual)
         usual = self._noise * self._stated.u
         u = np.sqrt(usual**2 + self._features.excess / scatter.kappa**2)
-        self.group = replace(group, u=u, astray=self._runs.excess[self._run])
+        self.group = replace(self.group, u=u, astray=self._runs.excess[self._run])
+
+    def _estimated(self, start: Scatter) -> Scatter:
+        columns = self._free, self._rich
+        return mixed_model.estimate_scatter(self.group, self._residual, *columns, start)[0]
 
     def _precision(self, scatter: Scatter) -> np.ndarray:
         """V^-1, less what rich columns (unit prior sd) and free ones take."""
@@ -286,13 +282,12 @@ def estimated_zeros(
     if usual:
         covariance = np.linalg.inv(gram + np.diag(ridge))
         return (covariance @ pulled)[:count], covariance[:count, :count]
-    values, variances = np.zeros(count), np.zeros((count, count))
+    values, variances = np.zeros(count), np.zeros(count)
     for k in range(count):
-        own = ridge.copy()
-        own[k] = 1e-6
+        own = np.where(np.arange(size) == k, 1e-6, ridge)
         covariance = np.linalg.inv(gram + np.diag(own))
-        values[k], variances[k, k] = (covariance @ pulled)[k], covariance[k, k]
-    return values, variances
+        values[k], variances[k] = (covariance @ pulled)[k], covariance[k, k]
+    return values, np.diag(variances)
 
 
 def without_zeros(measurements: Measurements, fitted: Fit, state: State) -> np.ndarray:
@@ -340,9 +335,7 @@ def noise_findings(measurements: Measurements) -> list[DataFinding]:
 def scatter_findings(measurements: Measurements, state: State, coefficients: dict) -> list[dict]:
     """Protocols whose runs scatter by clearly more than is usual, and what to record there next.
 
-    Parameters
-    ----------
-    coefficients : logarithm of every friction coefficient by name.
+    ``coefficients``: logarithm of every friction coefficient by name.
     """
     found = []
     for block in measurements.blocks:

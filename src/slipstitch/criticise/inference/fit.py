@@ -179,12 +179,7 @@ def fit(
     """Levenberg-Marquardt from ``start`` (missing parameters start at their null values).
 
     A very weak prior (:attr:`Parameter.prior_width`) keeps parameters finite that the data do not
-    determine.
-
-    Raises
-    ------
-    NotConverged
-        If it still improves after `ITERATIONS_MAX` iterations: no verdict may hang on it.
+    determine. Raises NotConverged, since no verdict may hang on a fit that still improves.
     """
     parameters = parameters_of(measurements, causes)
     lower, upper, scale, null, width = np.array(

@@ -7,30 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
+from slipstitch.criticise.inference import mixed_model
 from slipstitch.criticise.inference.candidates import Candidate
 from slipstitch.criticise.inference.faulty_data import without_zeros
 from slipstitch.criticise.inference.fit import Fit, fit
-from slipstitch.criticise.inference.mixed_model import (
-    Scatter,
-    estimate_scatter,
-    make_groups,
-    zeros_of,
-)
+from slipstitch.criticise.inference.mixed_model import Scatter
 from slipstitch.criticise.inference.state import State
 from slipstitch.criticise.verdict import Analysis
-
-
-@dataclass(frozen=True)
-class Gain:
-    """Held-out log score and relative error of null and extended model."""
-
-    estimate: float
-    low: float
-    high: float
-    null_score: float
-    rmse_null: float
-    rmse_extended: float
-    groups: int
 
 
 def plain_scatters(analysis: Analysis, fitted: Fit) -> dict[str, Scatter]:
@@ -38,15 +21,13 @@ def plain_scatters(analysis: Analysis, fitted: Fit) -> dict[str, Scatter]:
 
     Outliers count: a fresh campaign will have them too.
     """
-    m, state = analysis.measurements, analysis.state
-    residual = m.y - fitted.prediction
-    everything = make_groups(m, state.sensitivity)
-    result = {}
-    for group in everything:
-        result[group.protocol], _ = estimate_scatter(
-            group, residual[group.index], group.level(), zeros_of(m, group)
-        )
-    return result
+    m, residual = analysis.measurements, analysis.measurements.y - fitted.prediction
+    return {
+        group.protocol: mixed_model.estimate_scatter(
+            group, residual[group.index], group.level(), mixed_model.zeros_of(m, group)
+        )[0]
+        for group in mixed_model.make_groups(m, analysis.state.sensitivity)
+    }
 
 
 @dataclass
@@ -61,23 +42,29 @@ class _Linear:
 
 
 def _linear(analysis: Analysis, fitted: Fit, parts, extra: int) -> _Linear:
-    p = len(fitted.values)
-    curvature = np.zeros((len(parts), p, p))
-    gradient, squares = np.zeros((len(parts), p)), np.zeros(len(parts))
     residual = without_zeros(analysis.measurements, fitted, analysis.state)
-    for i, (index, inverse) in enumerate(parts):
+    curvature, gradient, squares = [], [], []
+    for index, inverse in parts:
         weighted = inverse @ fitted.jacobian[index]
-        curvature[i] = fitted.jacobian[index].T @ weighted
-        gradient[i] = weighted.T @ residual[index]
-        squares[i] = residual[index] @ inverse @ residual[index]
-    return _Linear(fitted, extra, curvature, gradient, squares)
+        curvature.append(fitted.jacobian[index].T @ weighted)
+        gradient.append(weighted.T @ residual[index])
+        squares.append(residual[index] @ inverse @ residual[index])
+    count = len(fitted.values)
+    return _Linear(
+        fitted,
+        extra,
+        np.reshape(curvature, (-1, count, count)),
+        np.reshape(gradient, (-1, count)),
+        np.array(squares),
+    )
 
 
-def held_out_gain(analysis: Analysis, candidates: list[Candidate]) -> Gain:
+def held_out_gain(analysis: Analysis, candidates: list[Candidate]) -> dict:
     """Leave one specimen out; in every fold the best of ``candidates`` by BIC, or the null.
 
     Refits are one Gauss-Newton step from the fit to all data, which is exact for what one
-    specimen can move.
+    specimen can move. Returns plain data: the gain in log score a reading, its interval, and the
+    errors relative to friction.
     """
     m, state = analysis.measurements, analysis.state
     parts, rows_of = _parts(analysis, state)
@@ -85,55 +72,46 @@ def held_out_gain(analysis: Analysis, candidates: list[Candidate]) -> Gain:
     # The null that is predicted with is the one reported, under its own scatter; the one that
     # competes for selection is the null under the scatter of the others.
     null = _linear(analysis, analysis.null, _parts(analysis, analysis.null_state, parts)[0], 0)
-    rival = fit(m, state.weights, (), analysis.null.as_dict())
-    others = [
-        _linear(analysis, c.fitted, parts, len(c.fitted.values) - len(analysis.null.values))
-        for c in candidates
-    ]
-    rivals = [_linear(analysis, rival, parts, 0), *others]
+    models = [fit(m, state.weights, (), analysis.null.as_dict()), *(c.fitted for c in candidates)]
+    count = len(analysis.null.values)
+    rivals = [_linear(analysis, f, parts, len(f.values) - count) for f in models]
     plain_null = plain_scatters(analysis, analysis.null)
     reference = analysis.chosen.fitted if analysis.chosen is not None else analysis.null
     plain_extended = plain_scatters(analysis, reference)
-    differences, scores, sizes = [], [], []
-    errors = np.zeros(2)
-    weight = 0.0
+    scores, errors = [], []
     for i, rows in enumerate(rows_of):
         fits = [_without(model, i) for model in rivals]
         cost = [found[0] + model.extra * runs for found, model in zip(fits, rivals, strict=True)]
         best = int(np.argmin(cost))
-        pair = [_score(analysis, null.fitted, _without(null, i), rows, plain_null)]
-        pair.append(
-            _score(analysis, rivals[best].fitted, fits[best], rows, plain_extended)
-            if best
-            else pair[0]
-        )
-        differences.append(pair[1][0] - pair[0][0])
-        scores.append(pair[0][0])
-        sizes.append(len(rows))
-        d = np.abs(state.sensitivity[rows])
-        scale = np.hypot(d, m.u[rows])
-        errors += [np.sum((pair[k][1] / scale) ** 2) for k in (0, 1)]
-        weight += len(rows)
-    differences, sizes = np.array(differences), np.array(sizes, float)
-    total = sizes.sum()
+        pair = [_score(analysis, null.fitted, _without(null, i), rows, plain_null)] * 2
+        if best:
+            pair[1] = _score(analysis, rivals[best].fitted, fits[best], rows, plain_extended)
+        scale = np.hypot(np.abs(state.sensitivity[rows]), m.u[rows])
+        scores.append([score for score, _ in pair])
+        errors.append([np.sum((error / scale) ** 2) for _, error in pair])
+    sizes = np.array([len(rows) for rows in rows_of], float)
+    total, specimens = sizes.sum(), len(sizes)
     if total == 0:  # bounds only
-        nan = float("nan")
-        return Gain(nan, nan, nan, nan, nan, nan, 0)
-    estimate = differences.sum() / total
-    spread = np.sum((differences - estimate * sizes) ** 2)
-    count = len(sizes)
-    error = np.sqrt(spread * count / max(count - 1, 1)) / total
-    reach = student.ppf(0.975, max(count - 1, 1)) * error
-    rmse = np.sqrt(errors / weight)
-    return Gain(
-        float(estimate),
-        float(estimate - reach),
-        float(estimate + reach),
-        float(np.sum(scores) / total),
-        float(rmse[0]),
-        float(rmse[1]),
-        count,
-    )
+        found, specimens = [float("nan")] * 6, 0
+    else:
+        scores = np.array(scores)
+        differences = scores[:, 1] - scores[:, 0]
+        estimate = differences.sum() / total
+        spread = np.sum((differences - estimate * sizes) ** 2)
+        error = np.sqrt(spread * specimens / max(specimens - 1, 1)) / total
+        reach = student.ppf(0.975, max(specimens - 1, 1)) * error
+        rmse = np.sqrt(np.sum(errors, axis=0) / total)
+        found = [estimate, estimate - reach, estimate + reach, scores[:, 0].sum() / total, *rmse]
+    estimate, low, high, null_score, rmse_null, rmse_extended = (round(float(x), 5) for x in found)
+    return {
+        "estimate": estimate,
+        "ci95": [low, high],
+        "null_score": null_score,
+        "rmse_null": rmse_null,
+        "rmse_extended": rmse_extended,
+        "grouping": "specimen_id",
+        "n_groups": specimens,
+    }
 
 
 def _parts(analysis: Analysis, state: State, like: list | None = None):

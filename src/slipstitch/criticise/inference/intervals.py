@@ -20,13 +20,7 @@ TOO_WIDE = "it is known to no better than a factor 3"
 
 @dataclass(frozen=True)
 class Intervals:
-    """Of one fit.
-
-    Attributes
-    ----------
-    specimens : that the fit has seen.
-    inflation : of the variance of each mechanism's parameters.
-    """
+    """Of one fit; ``inflation`` is that of the variance of each mechanism's parameters."""
 
     fitted: Fit
     specimens: int
@@ -116,12 +110,8 @@ def _entry(estimate, interval, unit) -> dict:
 def not_identified(parameters: dict[str, dict]) -> dict[str, str]:
     """Parameters at a bound, or not known to a factor 3, and why.
 
-    A coefficient is known by itself, as is what a mechanism has beside its size; a size by what
-    it differs from that of no effect. A vector is judged as a whole, its bounds by its components.
-
-    Parameters
-    ----------
-    parameters : name -> estimate and ci95, as in the verdict; of a vector the components as well.
+    A coefficient is known by itself, as is what a mechanism has beside its size; a size by what it
+    differs from that of no effect. A vector is judged as a whole, its bounds by its components.
     """
     found = {}
     for coefficient in COEFFICIENTS:

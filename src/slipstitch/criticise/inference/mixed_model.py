@@ -55,9 +55,8 @@ START_SCATTER = Scatter(0.05, 0.03, 1.2)
 class Group:
     """The features of one protocol, as the covariance sees them.
 
-    ``index`` places them among all features; ``sensitivity`` is d(feature)/d(ln mu); ``specimen``
-    and ``run`` are numbers; ``astray`` is the variance of ln mu that the run has beyond the
-    scatter of the others.
+    ``index`` places them among all features; ``astray`` is the variance of ln mu that the run has
+    beyond the scatter of the others.
     """
 
     protocol: str
@@ -238,11 +237,8 @@ def estimate_scatter(
 ) -> tuple[Scatter, float]:
     """Scatter with a weak prior, by a simplex search, and its penalised log-likelihood.
 
-    Parameters
-    ----------
-    residual : (n,) of the group's features.
-    fixed, random : (n, k) and (n, q) columns fitted freely and with unit prior sd.
-    restricted : the fixed columns are integrated out (REML) or maximised over.
+    ``fixed`` columns are fitted freely (integrated out if ``restricted``: REML), ``random`` ones
+    have unit prior sd.
     """
     clusters = Clusters(group, np.column_stack([fixed, random, residual]))
 

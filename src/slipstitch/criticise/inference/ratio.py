@@ -43,12 +43,8 @@ def scatter_grid(centre: Scatter, readings_a_run: float) -> list[Scatter]:
 class _Side:
     """Tests beside one base in one protocol: what the base carries of them at every scatter.
 
-    Attributes
-    ----------
-    rows : (g, base, m) of X' V^-1 X at every scatter; the base's columns come first.
-    blocks : (g, t, k, k) of the tests' own columns, an array for each width k.
-    vectors : (g, t, k, k) of unit information, from what the base leaves of these columns; zero
-        for those that it makes up.
+    ``rows`` (g, base, m) are of X' V^-1 X, ``blocks`` (g, t, k, k) of the tests' own columns, an
+    array for each width k, ``vectors`` (g, t, k, k) of unit information.
     """
 
     def __init__(self, columns, ridge, own, group: Group, centre: Scatter):
@@ -91,11 +87,8 @@ class _Side:
 class _Bank:
     """Tests with one base of fixed columns, in the order of their widths.
 
-    Attributes
-    ----------
-    numbers : of each test.
-    own : (t, k) their columns, an array for each width k.
-    degrees, information : (protocols and all together, tests).
+    ``own`` (t, k) are their columns, an array for each width k; ``degrees`` and ``information``
+    have a row a protocol, and one for all together.
     """
 
     def __init__(self, numbers, tests, fixed, shrunken, groups, scatters):
@@ -180,9 +173,7 @@ class Ratios:
 
     Parameters
     ----------
-    tests : alternatives, each with its columns over all features.
     base : (n, k) derivatives of the fitted model by its parameters.
-    residual : (n,) measured minus fitted.
     groups, scatters : the features by protocol, and their scatter under the fitted model.
     shrunken : (n, z) columns that have a unit prior sd under every model.
     """
@@ -246,10 +237,8 @@ class Ratios:
     ) -> Outcome:
         """Test every alternative, its error by data sets that are drawn from the fitted model.
 
-        Parameters
-        ----------
-        replicates : simulated data sets at most; they come in rounds until the family-wise p is
-            clearly on one side of all ``limits``.
+        They come in rounds, at most ``replicates``, until the family-wise p is clearly on one side
+        of all ``limits``.
         """
         if not self._banks:  # every reading is only a bound
             nothing = np.zeros(len(self.tests))
@@ -273,11 +262,8 @@ class Ratios:
 def beside(rows, blocks, ridge, own):
     """What a base carries of tests' columns, from X' V^-1 X at every scatter.
 
-    Returns
-    -------
-    inverse, carried, vectors
-        (g, base, base) of the base's Gram matrix, (g, base, m) coefficients of all columns on the
-        base, and the tests' vectors of unit information.
+    The inverse of the base's Gram matrix (g, base, base), coefficients of all columns on the base
+    (g, base, m), and the tests' vectors of unit information, zero for those that the base makes up.
     """
     base = len(ridge)
     gram = rows[:, :, :base] + np.diag(ridge)
@@ -296,12 +282,7 @@ def beside(rows, blocks, ridge, own):
 
 
 def explained_by(vectors, left, own, one_sided) -> np.ndarray:
-    """Twice what each test explains (tests, b) of what its base leaves (m, b).
-
-    Parameters
-    ----------
-    vectors : of unit information, an array (t, k, k) or (b, t, k, k) for each width k.
-    """
+    """Twice what each test explains (tests, b) of what its base leaves (m, b)."""
     found = []
     for index, unit in zip(own, vectors, strict=True):
         if unit.ndim == 3:
@@ -317,10 +298,7 @@ def explained_by(vectors, left, own, one_sided) -> np.ndarray:
 
 
 def _unit_vectors(inner: np.ndarray, block: np.ndarray) -> np.ndarray:
-    """Vectors (..., k, k) of unit information from what is left (inner) of columns (block).
-
-    Those that the base makes up are zero.
-    """
+    """Vectors (..., k, k) of unit information from what is left (inner) of columns (block)."""
     size = np.sqrt(np.maximum(np.einsum("gtkk->gtk", block), 1e-300))
     scaled = inner / size[..., :, None] / size[..., None, :]
     if block.shape[-1] == 1:

@@ -38,8 +38,7 @@ PLACE_DEGREE = 4
 class Rival:
     """A smooth curve that friction may follow instead: factors (n, k) of its columns.
 
-    ``must_lead``: half of it is the mechanism's own covariate, so that it takes the evidence only
-    if it explains more by itself; clearly more is enough.
+    ``must_lead``: half of the curve is the mechanism's own covariate; it has to explain more.
     """
 
     name: str

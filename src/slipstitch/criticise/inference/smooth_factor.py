@@ -16,16 +16,9 @@ import numpy as np
 from scipy.interpolate import PchipInterpolator
 
 from slipstitch.criticise.covariates import COVARIATES, Covariate
+from slipstitch.criticise.inference import mixed_model
 from slipstitch.criticise.inference.fit import Fit
-from slipstitch.criticise.inference.mixed_model import (
-    START_SCATTER,
-    Clusters,
-    Group,
-    Scatter,
-    estimate_scatter,
-    make_groups,
-    zeros_of,
-)
+from slipstitch.criticise.inference.mixed_model import Clusters, Group, Scatter
 from slipstitch.criticise.inference.state import nuisance_columns
 from slipstitch.criticise.inference.structure import Test
 from slipstitch.criticise.measurements import Measurements
@@ -47,10 +40,7 @@ SPEED = "speed_mm_s"
 class Response:
     """Features over the coefficient that each of them has, about ``values`` (logarithms by name).
 
-    Attributes
-    ----------
-    coefficients : (n, k) which of the coefficients a feature has.
-    level : (k,) their logarithms.
+    ``coefficients`` (n, k) says which one a feature has, ``level`` (k,) are their logarithms.
     """
 
     def __init__(self, measurements: Measurements, values: dict[str, float]):
@@ -87,13 +77,9 @@ def speed_curve(knots_mm_s, factors) -> Curve:
 
 @dataclass
 class Form:
-    """What friction may follow along a covariate.
+    """What friction may follow along a covariate: (plain values, parameters (k,)) -> ln factor.
 
-    Attributes
-    ----------
-    log_factor : (plain values of the covariate, parameters (k,)) -> g.
-    start : (k,) parameters.
-    roots : of covariances that the parameters may have (k, k); None: they are free.
+    ``roots`` are of covariances that the parameters may have (k, k); None: they are free.
     """
 
     track: Track
@@ -161,7 +147,7 @@ class Problem:
         starts = [self.scatters]
         # What the effect has swelled in the null holds on to it: once more from what is usual.
         if form is not None and any(s.run > SWELLED_RUN for s in self.scatters.values()):
-            starts.append(dict.fromkeys(self.scatters, START_SCATTER))
+            starts.append(dict.fromkeys(self.scatters, mixed_model.START_SCATTER))
         found = [self._fit(form, s) for s in starts]
         return max(found, key=lambda one: (one.converged, one.log_likelihood))
 
@@ -170,28 +156,28 @@ class Problem:
         m, response = self.measurements, self.response
         count = len(response.level)
         level, values = response.level, np.zeros(0) if form is None else form.start
+        roots = None if form is None else form.roots
         before, gain, step = -np.inf, 0.0, 1.0
         for _ in range(ROUNDS):
             prediction, d, slopes = self._evaluated(form, level, values)
-            blocks = [response.coefficients * d[:, None]]
+            blocks, free = [response.coefficients * d[:, None]], None
             if form is not None:
                 free = nuisance_columns(m, self.usable & ~form.track.recorded, d)
-                blocks += [] if free is None else [free]
+            blocks += [] if free is None else [free]
             free_count = sum(block.shape[1] for block in blocks)
             columns = np.column_stack([*blocks, m.zero_columns, slopes])
             target = m.y - prediction + d * (response.coefficients @ level) + slopes @ values
-            own = np.arange(columns.shape[1]) >= columns.shape[1] - slopes.shape[1]
-            random = np.arange(columns.shape[1]) >= free_count
-            if form is not None and form.roots is None:
-                random &= ~own
-            groups = make_groups(m, d)
+            place = np.arange(columns.shape[1])
+            own = place >= columns.shape[1] - slopes.shape[1]
+            random = (place >= free_count) & ~(own & (roots is None))
+            groups = mixed_model.make_groups(m, d)
 
             model = Fitted(
                 level, values, scatters, groups, d, columns, target, random, own & random
             )
-            if form is not None and form.roots is not None:
+            if roots is not None:
                 sums = sums_of(model)
-                model.root = max(form.roots, key=lambda r: _evidence(model, sums, r, True))
+                model.root = max(roots, key=lambda r: _evidence(model, sums, r, True))
             model.scatters = scatters = {g.protocol: _scatter_of(m, g, model) for g in groups}
             sums = sums_of(model)
             model.log_likelihood = _evidence(model, sums, model.root, False)
@@ -218,28 +204,25 @@ class Problem:
             count = len(self.measurements.y)
             return *self.response.at(level, np.zeros(count)), np.zeros((count, 0))
         track, log_factor = form.track, form.log_factor
-
-        def moved(k: int) -> np.ndarray:
-            return values + STEP * (np.arange(len(values)) == k)
-
+        moved = values + STEP * np.eye(len(values))
         if track.covariate.name == SPEED:
             names = [p.name for p in self.measurements.null_parameters]
 
             def predicted(level, values) -> np.ndarray:
-                curve = speed_curve(
-                    track.plain_knots, np.exp(log_factor(track.plain_knots, values))
-                )
+                factors = np.exp(log_factor(track.plain_knots, values))
+                curve = speed_curve(track.plain_knots, factors)
                 named = dict(zip(names, level, strict=True))
                 return self.measurements.predict(named, (), curve=curve)
 
             base = predicted(level, values)
             d = (predicted(level + STEP, values) - base) / STEP
-            ends = [predicted(level, moved(k)) for k in range(len(values))]
-            return base, d, np.column_stack([(end - base) / STEP for end in ends])
-        g = log_factor(track.plain, values) * track.recorded
-        ends = [log_factor(track.plain, moved(k)) * track.recorded for k in range(len(values))]
-        base, d = self.response.at(level, g)
-        return base, d, np.column_stack([d * (end - g) / STEP for end in ends])
+            slopes = [(predicted(level, more) - base) / STEP for more in moved]
+        else:
+            g = log_factor(track.plain, values) * track.recorded
+            ends = [log_factor(track.plain, more) * track.recorded for more in moved]
+            base, d = self.response.at(level, g)
+            slopes = [d * (end - g) / STEP for end in ends]
+        return base, d, np.column_stack(slopes)
 
 
 def sums_of(model: Fitted) -> tuple[np.ndarray, np.ndarray, float]:
@@ -270,11 +253,11 @@ def _scatter_of(m: Measurements, group: Group, model: Fitted) -> Scatter:
     columns = (model.columns @ model.scale(model.root))[group.index]
     fixed = columns[:, ~model.random]
     left, size, _ = np.linalg.svd(fixed, full_matrices=False)
-    found, _ = estimate_scatter(
+    found, _ = mixed_model.estimate_scatter(
         group,
         model.target[group.index],
         left[:, size > 1e-6 * size[0]],
-        np.column_stack([zeros_of(m, group), columns[:, model.curve]]),
+        np.column_stack([mixed_model.zeros_of(m, group), columns[:, model.curve]]),
         model.scatters[group.protocol],
     )
     return found

@@ -8,16 +8,9 @@ import numpy as np
 
 from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.covariates import generic_shapes
+from slipstitch.criticise.inference import mixed_model
 from slipstitch.criticise.inference.fit import Fit, Weights, fit
-from slipstitch.criticise.inference.mixed_model import (
-    START_SCATTER,
-    Clusters,
-    Group,
-    Scatter,
-    estimate_scatter,
-    make_groups,
-    zeros_of,
-)
+from slipstitch.criticise.inference.mixed_model import Clusters, Group, Scatter
 from slipstitch.criticise.inference.ratio import Ratios
 from slipstitch.criticise.inference.structure import Outcome, Test
 from slipstitch.criticise.measurements import Measurements
@@ -118,8 +111,7 @@ def alternatives(measurements: Measurements, fitted: Fit) -> Alternatives:
 def rich_columns(tests: list[Test], group: Group) -> np.ndarray:
     """Shrunken columns for the scatter's estimate: mechanisms and a few shapes a covariate.
 
-    Each is scaled to the noncentrality expected of it under usual scatter, seen orthogonal to the
-    level of friction.
+    Each has the noncentrality expected of it under usual scatter, orthogonal to the level.
     """
     chosen, scanned = [], {}
     for test in tests:
@@ -133,7 +125,7 @@ def rich_columns(tests: list[Test], group: Group) -> np.ndarray:
     if not chosen:
         return np.zeros((len(group.index), 0))
     columns, level = np.column_stack(chosen), group.level()
-    gram = Clusters(group, np.column_stack([columns, level])).gram(START_SCATTER)
+    gram = Clusters(group, np.column_stack([columns, level])).gram(mixed_model.START_SCATTER)
     before = gram.diagonal()[: columns.shape[1]]
     norm = before.copy()
     if level.shape[1]:
@@ -150,12 +142,16 @@ class State:
 
     measurements: Measurements
     fitted: Fit
-    groups: list[Group]
     scatters: dict[str, Scatter]
     weights: Weights
     sensitivity: np.ndarray
     tests: list[Test]
     untestable: dict[str, str]
+
+    @property
+    def groups(self) -> list[Group]:
+        """The features by protocol."""
+        return self.weights.groups
 
     @property
     def keep(self) -> np.ndarray:
@@ -166,11 +162,20 @@ class State:
         self, rng: np.random.Generator, replicates: int, limits: tuple[float, ...] = ()
     ) -> Outcome:
         """Tests of everything beyond the fitted model."""
-        m, fitted = self.measurements, self.fitted
-        residual = m.y - fitted.prediction
-        return Ratios(
-            self.tests, fitted.jacobian, residual, self.groups, self.scatters, m.zero_columns
-        ).outcome(rng, replicates, limits)
+        ratios = ratios_of(self.measurements, self.fitted, self.tests, self.groups, self.scatters)
+        return ratios.outcome(rng, replicates, limits)
+
+
+def ratios_of(
+    m: Measurements,
+    fitted: Fit,
+    tests: list[Test],
+    groups: list[Group],
+    scatters: dict[str, Scatter],
+) -> Ratios:
+    """Likelihood ratios of tests beside a fitted model."""
+    residual = m.y - fitted.prediction
+    return Ratios(tests, fitted.jacobian, residual, groups, scatters, m.zero_columns)
 
 
 def state_at(
@@ -184,25 +189,17 @@ def state_at(
     found = found or alternatives(measurements, fitted)
     residual = measurements.y - fitted.prediction
     scatters = {}
-    for group in make_groups(measurements, sensitivity):
-        scatters[group.protocol], _ = estimate_scatter(
+    for group in mixed_model.make_groups(measurements, sensitivity):
+        scatters[group.protocol], _ = mixed_model.estimate_scatter(
             group,
             residual[group.index],
             group.level(),
-            zeros_of(measurements, group),
-            (start or {}).get(group.protocol, START_SCATTER),
+            mixed_model.zeros_of(measurements, group),
+            (start or {}).get(group.protocol, mixed_model.START_SCATTER),
         )
     weights = Weights(measurements, sensitivity, scatters)
-    return State(
-        measurements,
-        fitted,
-        weights.groups,
-        scatters,
-        weights,
-        sensitivity,
-        found.tests,
-        found.untestable,
-    )
+    tests, untestable = found.tests, found.untestable
+    return State(measurements, fitted, scatters, weights, sensitivity, tests, untestable)
 
 
 @dataclass(frozen=True)
@@ -224,11 +221,8 @@ def refit(
 ) -> Refit:
     """Fit causes and scatter in turn, from a fit and scatters to start from.
 
-    Parameters
-    ----------
-    sensitivity : (n,) by which scatter enters, the same for all models that are compared: slips
-        that sampling puts on a grid make it jump with the coefficient.
-    nuisance : (n, q) columns that are fitted freely.
+    ``sensitivity`` (n,), by which scatter enters, is the same for all models that are compared:
+    slips that sampling puts on a grid make it jump. ``nuisance`` columns are fitted freely.
     """
     fitted, scatters = start, dict(scatters)
     total = -np.inf
@@ -241,11 +235,11 @@ def refit(
             fixed = np.zeros((len(group.index), 0))
             if nuisance is not None:
                 fixed = _independent(nuisance[group.index])
-            scatters[group.protocol], value = estimate_scatter(
+            scatters[group.protocol], value = mixed_model.estimate_scatter(
                 group,
                 residual[group.index],
                 fixed,
-                zeros_of(measurements, group),
+                mixed_model.zeros_of(measurements, group),
                 scatters[group.protocol],
                 restricted=False,
             )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -50,9 +51,8 @@ class Outcome:
     """Result of a set of tests.
 
     ``statistic`` is divided by ``inflation`` (its simulated mean over the degrees of freedom).
-    ``exceeded`` of the ``replicates`` largest statistics were above the best of each family;
-    ``largest`` are these (-log10 p, in order). ``information`` that the design has of a test's
-    columns, in the direction that it knows least.
+    ``exceeded`` of the ``replicates`` largest statistics (``largest``, -log10 p) were above the
+    best of each family. ``information``: of a test's columns where the design knows least.
     """
 
     tests: list[Test]
@@ -94,14 +94,22 @@ class Outcome:
                 result[test.mechanism] = max(result.get(test.mechanism, 1.0), float(value))
         return result
 
-    def strongest(self, family: str | None = None) -> int | None:
-        """Index of the most significant test (of a family)."""
-        candidates = [
-            i
-            for i, t in enumerate(self.tests)
-            if (family is None or t.family == family) and np.isfinite(self.log_p[i])
-        ]
-        return max(candidates, key=lambda i: self.log_p[i]) if candidates else None
+    def strongest_by(self, key: Callable[[Test], str | None]) -> dict[str, int]:
+        """Index of the most significant test of each key; tests without a key are left out."""
+        best: dict[str, int] = {}
+        for i, test in enumerate(self.tests):
+            name = key(test) if np.isfinite(self.log_p[i]) else None
+            if name is not None and (name not in best or self.log_p[i] > self.log_p[best[name]]):
+                best[name] = i
+        return best
+
+    def strongest_shapes(self) -> dict[str, int]:
+        """Index of the most significant shape along each covariate."""
+        return self.strongest_by(lambda test: None if test.mechanism else test.covariate)
+
+    def strongest(self, family: str) -> int | None:
+        """Index of the most significant test of a family."""
+        return self.strongest_by(lambda test: test.family).get(family)
 
 
 def outcome_of(

@@ -5,7 +5,6 @@ inference, prediction and report take everything from there.
 """
 
 from collections.abc import Mapping
-from types import MappingProxyType
 
 from slipstitch.criticise.protocols.drag import DRAG
 from slipstitch.criticise.protocols.drop_drag import DROP_DRAG
@@ -15,10 +14,7 @@ from slipstitch.criticise.protocols.push import PUSH
 from slipstitch.criticise.protocols.spring_slider import SPRING_SLIDER
 from slipstitch.criticise.protocols.strip import STRIP
 
-PROTOCOLS: Mapping[str, Protocol] = MappingProxyType(
-    {protocol.name: protocol for protocol in (INCLINE, STRIP, DRAG, DROP_DRAG, SPRING_SLIDER, PUSH)}
-)
-QUANTITIES: Mapping[str, Quantity] = MappingProxyType(
-    {quantity.name: quantity for protocol in PROTOCOLS.values() for quantity in protocol.quantities}
-)
+_IN_ORDER = (INCLINE, STRIP, DRAG, DROP_DRAG, SPRING_SLIDER, PUSH)
+PROTOCOLS: Mapping[str, Protocol] = {protocol.name: protocol for protocol in _IN_ORDER}
+QUANTITIES: Mapping[str, Quantity] = {q.name: q for one in _IN_ORDER for q in one.quantities}
 INSTRUMENT_QUANTITIES = tuple(name for name, q in QUANTITIES.items() if q.instrument)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from slipstitch.criticise.protocols import protocol
 from slipstitch.criticise.protocols.drag_trace import (
     DEPARTURE_NOISES,
     Feature,
@@ -13,21 +14,6 @@ from slipstitch.criticise.protocols.drag_trace import (
     pooled_texture,
     sliding,
     trace_features,
-)
-from slipstitch.criticise.protocols.protocol import (
-    RUN_COLUMNS,
-    LoadedBlock,
-    Protocol,
-    Quantity,
-    azimuth,
-    contacts_of,
-    covariates_of,
-    downhill_rad,
-    feature_rows,
-    masses_of,
-    number,
-    sampled,
-    text,
 )
 from slipstitch.criticise.traces import Signal, TraceNoise, noise_of
 from slipstitch.physics import GRAVITY_M_S2
@@ -41,7 +27,7 @@ DESIGN_QUANTITIES = ("force_plateau_mN", "force_first_slip_mN")
 
 
 @dataclass
-class DragBlock(LoadedBlock):
+class DragBlock(protocol.LoadedBlock):
     """Drag features."""
 
     READS = (
@@ -65,7 +51,7 @@ class DragBlock(LoadedBlock):
     def predict(self, law, bench):
         quantity = self.rows["quantity"].to_numpy()
         load, rest, motion = self.pressed(bench)
-        tilt = downhill_rad(bench, self.rows["stage_azimuth_deg"].to_numpy(float))
+        tilt = protocol.downhill_rad(bench, self.rows["stage_azimuth_deg"].to_numpy(float))
         direction = np.where(np.isin(quantity, BACK), -1.0, 1.0)
 
         def cell_reading(friction):
@@ -79,7 +65,7 @@ class DragBlock(LoadedBlock):
         slipping = direction * np.maximum(direction * slipping, direction * moving)
         drop = direction * (slipping - moving)
         seen = slipping + direction * np.maximum(1e3 * self.threshold_N - drop, 0)
-        seen = sampled(seen, self.grid_step, self.grid_point)
+        seen = protocol.sampled(seen, self.grid_step, self.grid_point)
         result = np.where(np.isin(quantity, PLATEAUS), moving, seen)
         relaxed = 1e3 * bench.force_offset_N + bench.force_gain * self.ramp_mN
         late_mm = bench.force_delay_s * 1e3 * np.nan_to_num(self.in_motion.speed_m_s)
@@ -91,7 +77,7 @@ class DragBlock(LoadedBlock):
 
 
 def _read(runs, traces, spring: float, u_mN: np.ndarray) -> tuple[list[tuple], TraceNoise]:
-    """(number of the run, quantity, feature) of every trace, and how noisy the traces are."""
+    """(run, quantity, feature) of every trace, and how noisy the traces are."""
     strokes = {
         (run, int(stroke)): part
         for (run, stroke), part in traces.groupby(["run_id", "stroke"], sort=False)
@@ -129,7 +115,7 @@ def _read(runs, traces, spring: float, u_mN: np.ndarray) -> tuple[list[tuple], T
 def features(tables, nominal, measured) -> DragBlock | None:
     """Features of every run; without traces, the quantities of the design."""
     runs, traces = tables["drag_runs"], tables.get("drag") if measured else None
-    common = covariates_of(runs, "stage_azimuth_deg")
+    common = protocol.covariates_of(runs, "stage_azimuth_deg")
     common["stage_azimuth_deg"] = runs["stage_azimuth_deg"].to_numpy(float)
     u, spring = runs["u_force_mN"].to_numpy(float), nominal["k_tether_N_m"]
     noises = ()
@@ -142,16 +128,16 @@ def features(tables, nominal, measured) -> DragBlock | None:
         return None
     found = [feature for _, _, feature in lines]
     lines = [(run, quantity, f.value, f.uncertainty) for run, quantity, f in lines]
-    index, rows = feature_rows(common, lines)
+    index, rows = protocol.feature_rows(common, lines)
     returning = rows["quantity"].isin(RETURNING).to_numpy()
     for name in ("orientation_deg", "azimuth_deg"):
         rows[name] = rows[name] + np.where(returning, 180.0, 0.0)
     reversal_dwell = nominal.get("reversal_dwell_s", np.nan)
     rows["dwell_s"] = np.where(returning, reversal_dwell, rows["dwell_s"])
-    cloth, added = (mass[index] for mass in masses_of(runs, nominal))
+    cloth, added = (mass[index] for mass in protocol.masses_of(runs, nominal))
     load, area = (cloth + added) * GRAVITY_M_S2, runs["area_cm2"].to_numpy(float)[index] * 1e-4
     slipping = rows["quantity"].isin(SLIPS).to_numpy()
-    at_rest, in_motion = contacts_of(rows, slipping, load, area)
+    at_rest, in_motion = protocol.contacts_of(rows, slipping, load, area)
     rows["load_ratio"] = at_rest.load_ratio()
     block = DragBlock(
         "drag",
@@ -170,36 +156,36 @@ def features(tables, nominal, measured) -> DragBlock | None:
     return block
 
 
-DRAG = Protocol(
+DRAG = protocol.Protocol(
     "drag",
     "c",
     {
         "drag_runs": (
-            *RUN_COLUMNS,
-            azimuth("stage_azimuth_deg"),
-            number("area_cm2", 1e-3, 1e5, usual=100.0),
-            number("added_mass_g", 0, 1e5, usual=20.0),
-            number("speed_mm_s", 1e-6, 1e4, True, usual=10.0),
-            number("u_force_mN", 1e-6, 1e5, usual=0.3),
+            *protocol.RUN_COLUMNS,
+            protocol.azimuth("stage_azimuth_deg"),
+            protocol.number("area_cm2", 1e-3, 1e5, usual=100.0),
+            protocol.number("added_mass_g", 0, 1e5, usual=20.0),
+            protocol.number("speed_mm_s", 1e-6, 1e4, True, usual=10.0),
+            protocol.number("u_force_mN", 1e-6, 1e5, usual=0.3),
         ),
         "drag": (
-            text("run_id", may_be_empty=False),
-            number("stroke", 0, 1),
-            number("t_s", -1e7, 1e7, True),
-            number("x_stage_mm", -1e5, 1e5),
-            number("v_mm_s", -1e4, 1e4, True),
-            number("force_mN", -1e7, 1e7),
+            protocol.text("run_id", may_be_empty=False),
+            protocol.number("stroke", 0, 1),
+            protocol.number("t_s", -1e7, 1e7, True),
+            protocol.number("x_stage_mm", -1e5, 1e5),
+            protocol.number("v_mm_s", -1e4, 1e4, True),
+            protocol.number("force_mN", -1e7, 1e7),
         ),
     },
     nominal=("rho_kg_m2", "k_tether_N_m"),
     quantities=(
-        Quantity("relaxed_mN", "relaxed reading", instrument=True),
-        Quantity("stiffness", "loading slope", instrument=True),
-        Quantity("force_first_slip_mN", "first slip"),
-        Quantity("force_plateau_mN", "plateau"),
-        Quantity("lost_motion_mm", "lost motion", instrument=True),
-        Quantity("force_reversal_slip_mN", "slip at reversal"),
-        Quantity("force_back_plateau_mN", "plateau back"),
+        protocol.Quantity("relaxed_mN", "relaxed reading", instrument=True),
+        protocol.Quantity("stiffness", "loading slope", instrument=True),
+        protocol.Quantity("force_first_slip_mN", "first slip"),
+        protocol.Quantity("force_plateau_mN", "plateau"),
+        protocol.Quantity("lost_motion_mm", "lost motion", instrument=True),
+        protocol.Quantity("force_reversal_slip_mN", "slip at reversal"),
+        protocol.Quantity("force_back_plateau_mN", "plateau back"),
     ),
     features=features,
     signals=(Signal("force_mN", "force cell", "u_force_mN"),),

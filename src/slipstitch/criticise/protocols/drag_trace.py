@@ -47,10 +47,9 @@ class Texture:
 def pooled_texture(plateaus: list[tuple[np.ndarray, float, float]], step_mm: float) -> Texture:
     """Texture from all runs' plateaus: (readings, uncertainty, level) of each.
 
-    Raw autocovariances are summed and divided by the summed squares of the levels, so that weak
-    runs, all noise, do not count. The white part (instrument noise) is left out: the lags from 1
-    on are fitted by an exponential. Taken about each plateau's own mean, they are all too small by
-    the variance of that mean, which the fitted texture tells: it is given back until both agree.
+    Raw autocovariances are summed, weak runs count little. The white part (instrument noise) is
+    left out: the lags from 1 on are fitted by an exponential. About each plateau's own mean they
+    are too small by its variance, which the texture tells: it is given back until both agree.
     """
     longest = max((len(readings) for readings, _, _ in plateaus), default=0)
     lags = int(min(max(longest // 3, 2), 80))
@@ -187,17 +186,13 @@ def trace_features(
     start_mm: float | None = None,
     turn_mm: float | None = None,
 ) -> dict[str, Feature]:
-    """Features of one run by quantity.
+    """Features of one run by quantity; ``out`` and ``back`` are strokes 0 and 1 in order of time.
 
     Parameters
     ----------
-    out, back
-        Strokes 0 and 1, in order of time: x_stage_mm, force_mN.
-    start_mm
-        Where the stage of all runs starts; a run that was first read further off than a sample
-        started at its own first reading.
-    turn_mm
-        Where it turns, if that is the same in all runs.
+    start_mm : where the stage of all runs starts; a run that was first read further off than a
+        sample started at its own first reading.
+    turn_mm : where it turns, if that is the same in all runs.
     """
     features: dict[str, Feature] = {}
     x, force = out["x_stage_mm"].to_numpy(), out["force_mN"].to_numpy()

@@ -62,14 +62,10 @@ def sliding_state(
     static: bool,
     tilt_downhill_rad: np.ndarray | float = 0.0,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Clamp-to-edge distance X and contact length c when the tension equals the friction.
+    """Clamp-to-edge distance X and contact length c, (n,) m, when the tension equals the friction.
 
     Per unit width: H = F(N = w c cos(tilt) + R0, A = c) - w c sin(tilt); gravity leans on the
     lifted cloth as well.
-
-    Returns
-    -------
-    distance_m, contact_m : (n,) and (n,).
     """
     w, h = np.asarray(areal_weight_N_m2, float), np.asarray(height_m, float)
     w, lean = w * np.cos(tilt_downhill_rad), np.tan(tilt_downhill_rad)
@@ -116,11 +112,9 @@ def sticking_path(
     tilt_downhill_rad: np.ndarray | float = 0.0,
     points: int = 300,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """How a cloth whose edge sticks lifts off while the clamp advances.
+    """How a cloth whose edge sticks lifts off while the clamp advances from 0.
 
-    Returns
-    -------
-    advance_m, contact_m : (heights, points) each, advance rising from 0.
+    Advance and contact length in m, (heights, points) each.
     """
     tension = np.linspace(0.0, _table()[-1], points) ** 2
     h = np.asarray(height_m, float)[:, None]

@@ -8,21 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from slipstitch.criticise.protocols import protocol
 from slipstitch.criticise.protocols.dragged_cloth import rest_state, sliding_state, sticking_path
-from slipstitch.criticise.protocols.protocol import (
-    RUN_COLUMNS,
-    Block,
-    Protocol,
-    Quantity,
-    azimuth,
-    conditions_of,
-    covariates_of,
-    downhill_rad,
-    feature_rows,
-    number,
-    sampled,
-    text,
-)
 from slipstitch.criticise.traces import Signal, noise_of, off_neighbours
 from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.friction_law import Contact
@@ -44,7 +31,7 @@ DESIGN_QUANTITIES = ("lag_mm", "contact_len_mm")
 
 
 @dataclass
-class DropDragBlock(Block):
+class DropDragBlock(protocol.Block):
     """Drop-and-drag features; ``run`` maps a feature to its run.
 
     ``runs`` has a line a run: height, azimuth, speed, and what :data:`UNSEEN` has.
@@ -78,7 +65,7 @@ class DropDragBlock(Block):
         weight = np.full(n, self.areal_mass_kg_m2 * (1 + bench.mass_error) * GRAVITY_M_S2)
         bending = np.full(n, self.bending_Nm * (1 + bench.bending_error))
         length, height_m = np.full(n, self.cloth_length_m), 1e-3 * runs["height_mm"]
-        tilt = downhill_rad(bench, runs["azimuth_deg"])
+        tilt = protocol.downhill_rad(bench, runs["azimuth_deg"])
         fabric = (weight, bending, length, height_m)
         rest_distance, _ = rest_state(*fabric, tilt)
         distance, contact = sliding_state(law, *fabric, self.in_motion, False, tilt)
@@ -98,7 +85,7 @@ class DropDragBlock(Block):
             "lag_mm": runs["stage_mm"] - edge_mm,
             "edge_slope": np.full(n, scale),
             "contact_len_mm": 1e3 * contact * scale + contact_zero,
-            "first_motion_mm": sampled(
+            "first_motion_mm": protocol.sampled(
                 slip + late + np.maximum(runs["threshold_mm"] - jump, 0.0) / scale,
                 runs["grid_step"],
                 runs["grid_point"],
@@ -214,7 +201,7 @@ def _turn(forward: pd.DataFrame, back: pd.DataFrame) -> tuple[float, float]:
 def features(tables, nominal, measured) -> DropDragBlock | None:
     """Features of every run; without frames, the quantities of the design."""
     runs, frames = tables["drop_drag_runs"], tables.get("drop_drag") if measured else None
-    common = covariates_of(runs, "stage_azimuth_deg")
+    common = protocol.covariates_of(runs, "stage_azimuth_deg")
     common["height_mm"] = runs["height_mm"].to_numpy(float)
     u_pos = runs["u_pos_mm"].to_numpy(float)
     lines, settings = [], []
@@ -234,12 +221,12 @@ def features(tables, nominal, measured) -> DropDragBlock | None:
         lines += [(i, quantity, *value) for quantity, value in found.items()]
     if not lines:
         return None
-    index, rows = feature_rows(common, lines)
+    index, rows = protocol.feature_rows(common, lines)
     static = rows["quantity"].to_numpy() == "first_motion_mm"
     rows["static"] = static
     rows["dwell_s"] = np.where(static, rows["dwell_s"], np.nan)
     rows["speed_mm_s"] = np.where(static, np.nan, rows["speed_mm_s"])
-    contact = {"normal_force_N": np.nan, **conditions_of(common)}
+    contact = {"normal_force_N": np.nan, **protocol.conditions_of(common)}
     rows["load_ratio"] = nominal["rho_kg_m2"] * GRAVITY_M_S2 / 50.0
     block = DropDragBlock(
         "drop_drag",
@@ -256,35 +243,35 @@ def features(tables, nominal, measured) -> DropDragBlock | None:
     return block
 
 
-DROP_DRAG = Protocol(
+DROP_DRAG = protocol.Protocol(
     "drop_drag",
     "d",
     {
         "drop_drag_runs": (
-            *RUN_COLUMNS,
-            azimuth("stage_azimuth_deg"),
-            number("height_mm", 1, 1e4, usual=100.0),
-            number("speed_mm_s", 1e-6, 1e4, True, usual=10.0),
-            number("u_pos_mm", 1e-6, 1e3, usual=0.3),
+            *protocol.RUN_COLUMNS,
+            protocol.azimuth("stage_azimuth_deg"),
+            protocol.number("height_mm", 1, 1e4, usual=100.0),
+            protocol.number("speed_mm_s", 1e-6, 1e4, True, usual=10.0),
+            protocol.number("u_pos_mm", 1e-6, 1e3, usual=0.3),
         ),
         "drop_drag": (
-            text("run_id", may_be_empty=False),
-            number("frame", 0, 1e9, True),
-            text("phase", may_be_empty=False, choices=("fwd", "rev")),
-            number("t_s", -1e7, 1e7, True),
-            number("x_stage_mm", -1e5, 1e5),
-            number("te_x_mm", -1e5, 1e5),
-            number("contact_len_mm", -1e5, 1e5),
+            protocol.text("run_id", may_be_empty=False),
+            protocol.number("frame", 0, 1e9, True),
+            protocol.text("phase", may_be_empty=False, choices=("fwd", "rev")),
+            protocol.number("t_s", -1e7, 1e7, True),
+            protocol.number("x_stage_mm", -1e5, 1e5),
+            protocol.number("te_x_mm", -1e5, 1e5),
+            protocol.number("contact_len_mm", -1e5, 1e5),
         ),
     },
     nominal=("rho_kg_m2", "B_Nm", "cloth_length_m"),
     quantities=(
-        Quantity("lag_mm", "lag of the edge"),
-        Quantity("edge_slope", "edge per stage", instrument=True),
-        Quantity("contact_len_mm", "contact length"),
-        Quantity("first_motion_mm", "first motion"),
-        Quantity("stuck_contact_mm", "contact, stuck"),
-        Quantity("edge_at_turn_mm", "edge at the turn"),
+        protocol.Quantity("lag_mm", "lag of the edge"),
+        protocol.Quantity("edge_slope", "edge per stage", instrument=True),
+        protocol.Quantity("contact_len_mm", "contact length"),
+        protocol.Quantity("first_motion_mm", "first motion"),
+        protocol.Quantity("stuck_contact_mm", "contact, stuck"),
+        protocol.Quantity("edge_at_turn_mm", "edge at the turn"),
     ),
     features=features,
     signals=(

@@ -6,18 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from slipstitch.criticise.protocols.protocol import (
-    RUN_COLUMNS,
-    USUAL_AREA_M2,
-    Block,
-    Protocol,
-    Quantity,
-    azimuth,
-    conditions_of,
-    covariates_of,
-    downhill_rad,
-    number,
-)
+from slipstitch.criticise.protocols import protocol
 from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.friction_law import Contact, FrictionLaw
 
@@ -27,16 +16,9 @@ LARGEST_ANGLE_RAD = np.radians(89.0)
 def slip_angle_rad(
     law: FrictionLaw, weight_N: np.ndarray, contact: Contact, iterations: int = 30
 ) -> np.ndarray:
-    """Slope alpha with ``W sin alpha = F(N = W cos alpha)``, static friction.
+    """Slope alpha (n,) with ``W sin alpha = F(N = W cos alpha)``, static, at most 89 degrees.
 
-    Parameters
-    ----------
-    weight_N : (n,) weight of cloth and carrier.
-    contact : area, direction, dwell ... of the contacts; its load is replaced.
-
-    Returns
-    -------
-    (n,) radians, at most 89 degrees.
+    ``weight_N`` is of cloth and carrier; the load of ``contact`` is replaced.
     """
     weight_N = np.asarray(weight_N, dtype=float)
     slope = np.full(weight_N.shape, np.arctan(max(law.coefficient, 1e-9)))
@@ -52,7 +34,7 @@ def slip_angle_rad(
 
 
 @dataclass
-class InclineBlock(Block):
+class InclineBlock(protocol.Block):
     """Slip angles; ``contact`` and masses per row."""
 
     READS = ("mass_error", "tilt_along_rad", "tilt_across_rad", "angle_zero_rad")
@@ -65,7 +47,7 @@ class InclineBlock(Block):
     def predict(self, law, bench):
         mass = self.areal_mass_kg_m2 * (1 + bench.mass_error) * self.area_m2 + self.added_mass_kg
         slope = slip_angle_rad(law, mass * GRAVITY_M_S2, self.contact)
-        tilt = downhill_rad(bench, self.rows["azimuth_deg"].to_numpy(float))
+        tilt = protocol.downhill_rad(bench, self.rows["azimuth_deg"].to_numpy(float))
         # The protractor's base already falls by the tilt that way.
         return np.degrees(slope - tilt) + np.degrees(bench.angle_zero_rad)
 
@@ -73,7 +55,7 @@ class InclineBlock(Block):
 def features(tables, nominal, measured) -> InclineBlock:
     """A slip angle a trial."""
     table = tables["incline"]
-    rows = covariates_of(table, "azimuth_deg")
+    rows = protocol.covariates_of(table, "azimuth_deg")
     rows["quantity"] = "angle_deg"
     rows["y"] = table["angle_deg"] if measured else np.nan
     rows["u"] = table["u_angle_deg"].to_numpy(float)
@@ -82,34 +64,34 @@ def features(tables, nominal, measured) -> InclineBlock:
     area = table["area_cm2"].to_numpy(float) * 1e-4
     added = table["added_mass_g"].to_numpy(float) * 1e-3
     known = ~np.isnan(area) & ~np.isnan(added)
-    area, added = np.where(np.isnan(area), USUAL_AREA_M2, area), np.nan_to_num(added)
+    area, added = np.where(np.isnan(area), protocol.USUAL_AREA_M2, area), np.nan_to_num(added)
     load = (nominal["rho_kg_m2"] * area + added) * GRAVITY_M_S2
     contact = Contact(
         normal_force_N=load,
         area_m2=area,
         dwell_s=rows["dwell_s"].to_numpy(float),
-        **conditions_of(rows),
+        **protocol.conditions_of(rows),
     )
     rows["load_ratio"] = np.where(known, contact.load_ratio(), np.nan)
     return InclineBlock("incline", rows, contact, nominal["rho_kg_m2"], area, added)
 
 
-INCLINE = Protocol(
+INCLINE = protocol.Protocol(
     "incline",
     "a",
     {
         "incline": (
-            *RUN_COLUMNS,
-            azimuth("azimuth_deg"),
-            number("area_cm2", 1e-3, 1e5, True, usual=50.0),
-            number("added_mass_g", 0, 1e5, True, usual=20.0),
-            number("angle_deg", -10, 90, measured=True),
-            number("u_angle_deg", 1e-4, 20, usual=0.3),
-            number("censored", 0, 1, measured=True),
+            *protocol.RUN_COLUMNS,
+            protocol.azimuth("azimuth_deg"),
+            protocol.number("area_cm2", 1e-3, 1e5, True, usual=50.0),
+            protocol.number("added_mass_g", 0, 1e5, True, usual=20.0),
+            protocol.number("angle_deg", -10, 90, measured=True),
+            protocol.number("u_angle_deg", 1e-4, 20, usual=0.3),
+            protocol.number("censored", 0, 1, measured=True),
         )
     },
     nominal=("rho_kg_m2",),
-    quantities=(Quantity("angle_deg", "slip angle"),),
+    quantities=(protocol.Quantity("angle_deg", "slip angle"),),
     features=features,
     varied=(
         ("added_mass_g", (0, 5, 20, 50, 200)),

@@ -174,12 +174,10 @@ class LoadedBlock(Block):
 def contacts_of(
     rows: pd.DataFrame, static: np.ndarray, load_N: np.ndarray, area_m2: np.ndarray
 ) -> tuple[Contact, Contact]:
-    """Contacts of features at rest and in motion; rows keep the covariates of their own kind.
+    """Contacts of features at rest and in motion; ``rows`` keep the covariates of their own kind.
 
-    Parameters
-    ----------
-    rows : with the rest before the pull and the speed of every run, whatever the feature.
-    static : (n,) features that tell of friction at rest.
+    ``rows`` have the rest before the pull and the speed of every run; ``static`` (n,) features tell
+    of friction at rest.
     """
     shared = {"normal_force_N": load_N, "area_m2": area_m2, **conditions_of(rows)}
     dwell, speed = (rows[name].to_numpy(float) for name in ("dwell_s", "speed_mm_s"))
@@ -202,8 +200,7 @@ def masses_of(runs: pd.DataFrame, nominal: Mapping[str, float]) -> tuple[np.ndar
 def sampled(value: np.ndarray, grid_step: np.ndarray, grid_point: np.ndarray) -> np.ndarray:
     """Mean reading of a slip at ``value`` that sampling puts in the middle of its grid cell.
 
-    A saw tooth, smoothed by the scatter of slips (taken as 5 %); cells repeat from run to run, so
-    without it the error would not average out.
+    A saw tooth, smoothed by the scatter of slips (taken as 5 %): cells repeat from run to run.
     """
     step = np.where(grid_step > 0, grid_step, 1.0)
     blur = np.maximum(0.05 * np.abs(value) / step, 0.2)
@@ -219,12 +216,9 @@ Features = Callable[[Mapping[str, pd.DataFrame], Mapping[str, float], bool], Blo
 
 @dataclass(frozen=True)
 class Quantity:
-    """A kind of feature.
+    """A kind of feature: its name in tables (with the unit), its title in pictures.
 
-    Attributes
-    ----------
-    name, title : in tables (with the unit) and in pictures.
-    instrument : it tells of the instrument alone; no friction acts on it.
+    ``instrument``: it tells of the instrument alone; no friction acts on it.
     """
 
     name: str

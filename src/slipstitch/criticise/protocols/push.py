@@ -14,22 +14,7 @@ import numpy as np
 import pandas as pd
 
 from slipstitch.criticise.causes import Bench
-from slipstitch.criticise.protocols.protocol import (
-    ANGLE_DEG,
-    RUN_COLUMNS,
-    USUAL_AREA_M2,
-    LoadedBlock,
-    Protocol,
-    Quantity,
-    azimuth,
-    contacts_of,
-    covariates_of,
-    downhill_rad,
-    feature_rows,
-    masses_of,
-    number,
-    text,
-)
+from slipstitch.criticise.protocols import protocol
 from slipstitch.criticise.traces import Signal
 from slipstitch.physics import GRAVITY_M_S2
 
@@ -46,7 +31,7 @@ INERTIAL_ERROR = 0.3
 
 
 @dataclass
-class PushBlock(LoadedBlock):
+class PushBlock(protocol.LoadedBlock):
     """Push features."""
 
     READS = ("mass_error", "tilt_along_rad", "tilt_across_rad", "force_gain")
@@ -62,7 +47,7 @@ class PushBlock(LoadedBlock):
         load, rest, motion = self.pressed(bench)
         moving = law.force_limit(motion, static=False)
         resting = law.force_limit(rest, static=True)
-        tilt = downhill_rad(bench, self.rows["azimuth_deg"].to_numpy(float))
+        tilt = protocol.downhill_rad(bench, self.rows["azimuth_deg"].to_numpy(float))
         peak = np.hypot(np.maximum(resting - moving, 0.0), self.impact_force(bench))
         is_level = (self.rows["quantity"] == LEVEL).to_numpy()
         return 1e3 * (1 + bench.force_gain) * np.where(is_level, moving - load * np.sin(tilt), peak)
@@ -119,7 +104,7 @@ def features(tables, nominal, measured) -> PushBlock | None:
     runs = runs[straight].reset_index(drop=True)
     if not len(runs):
         return None
-    cloth, added = masses_of(runs, nominal)
+    cloth, added = protocol.masses_of(runs, nominal)
     mass, speed = cloth + added, runs["speed_mm_s"].to_numpy(float) * 1e-3
     u = runs["u_force_mN"].to_numpy(float)
     stiffness = np.full(len(runs), USUAL_STIFFNESS_N_M)
@@ -132,11 +117,11 @@ def features(tables, nominal, measured) -> PushBlock | None:
         lines = [(i, LEVEL, np.nan, u[i]) for i in range(len(runs))]
     if not lines:
         return None
-    index, rows = feature_rows(covariates_of(runs, "push_azimuth_deg"), lines)
+    index, rows = protocol.feature_rows(protocol.covariates_of(runs, "push_azimuth_deg"), lines)
     static = (rows["quantity"] == PEAK).to_numpy()
     known = runs["area_cm2"].notna().to_numpy()[index]
-    area = np.where(known, runs["area_cm2"].to_numpy(float)[index] * 1e-4, USUAL_AREA_M2)
-    at_rest, in_motion = contacts_of(rows, static, mass[index] * GRAVITY_M_S2, area)
+    area = np.where(known, runs["area_cm2"].to_numpy(float)[index] * 1e-4, protocol.USUAL_AREA_M2)
+    at_rest, in_motion = protocol.contacts_of(rows, static, mass[index] * GRAVITY_M_S2, area)
     rows["load_ratio"] = np.where(known, at_rest.load_ratio(), np.nan)
     return PushBlock(
         "push", rows, at_rest, in_motion, cloth[index], added[index], stiffness[index], speed[index]
@@ -163,31 +148,34 @@ def _features(readings, u, mass, speed, stiffness) -> list[tuple]:
     return lines
 
 
-PUSH = Protocol(
+PUSH = protocol.Protocol(
     "push",
     "f",
     {
         "push_runs": (
-            *RUN_COLUMNS,
-            azimuth("push_azimuth_deg"),
-            text("support"),
-            number("area_cm2", 1e-3, 1e5, True, usual=50.0),
-            number("added_mass_g", 0, 1e5, usual=500.0),
-            number("speed_mm_s", 1e-6, 1e4, usual=3.0),
-            number("turned_deg", *ANGLE_DEG, True),
-            number("moved_mm", 0, 1e5, True),
-            number("quiet_s", 0, 1e4, True),
-            number("u_force_mN", 1e-6, 1e5, usual=5.0),
+            *protocol.RUN_COLUMNS,
+            protocol.azimuth("push_azimuth_deg"),
+            protocol.text("support"),
+            protocol.number("area_cm2", 1e-3, 1e5, True, usual=50.0),
+            protocol.number("added_mass_g", 0, 1e5, usual=500.0),
+            protocol.number("speed_mm_s", 1e-6, 1e4, usual=3.0),
+            protocol.number("turned_deg", *protocol.ANGLE_DEG, True),
+            protocol.number("moved_mm", 0, 1e5, True),
+            protocol.number("quiet_s", 0, 1e4, True),
+            protocol.number("u_force_mN", 1e-6, 1e5, usual=5.0),
         ),
         "push": (
-            text("run_id", may_be_empty=False),
-            number("t_s", -1e7, 1e7),
-            number("force_x_mN", -1e7, 1e7),
-            number("force_y_mN", -1e7, 1e7),
+            protocol.text("run_id", may_be_empty=False),
+            protocol.number("t_s", -1e7, 1e7),
+            protocol.number("force_x_mN", -1e7, 1e7),
+            protocol.number("force_y_mN", -1e7, 1e7),
         ),
     },
     nominal=(),
-    quantities=(Quantity(LEVEL, "push, level"), Quantity(PEAK, "push, first peak")),
+    quantities=(
+        protocol.Quantity(LEVEL, "push, level"),
+        protocol.Quantity(PEAK, "push, first peak"),
+    ),
     features=features,
     signals=tuple(
         Signal(column, "force cell", "u_force_mN") for column in ("force_x_mN", "force_y_mN")

@@ -14,21 +14,7 @@ import pandas as pd
 from scipy.ndimage import median_filter, uniform_filter1d
 from scipy.signal import find_peaks
 
-from slipstitch.criticise.protocols.protocol import (
-    RUN_COLUMNS,
-    USUAL_AREA_M2,
-    LoadedBlock,
-    Protocol,
-    Quantity,
-    azimuth,
-    contacts_of,
-    covariates_of,
-    downhill_rad,
-    feature_rows,
-    masses_of,
-    number,
-    text,
-)
+from slipstitch.criticise.protocols import protocol
 from slipstitch.criticise.protocols.stick_slip import Slider, steady_cycle, steady_force
 from slipstitch.criticise.traces import Signal, TraceNoise, noise_of, off_neighbours
 from slipstitch.physics import GRAVITY_M_S2
@@ -53,7 +39,7 @@ INERTIAL_ERROR, DAMPED_EXCESS = 0.1, 0.5
 
 
 @dataclass
-class SpringSliderBlock(LoadedBlock):
+class SpringSliderBlock(protocol.LoadedBlock):
     """Spring-slider features."""
 
     READS = (
@@ -75,7 +61,7 @@ class SpringSliderBlock(LoadedBlock):
     def predict(self, law, bench):
         quantity = self.rows["quantity"].to_numpy()
         load, rest, motion = self.pressed(bench)
-        tilt = downhill_rad(bench, self.rows["azimuth_deg"].to_numpy(float))
+        tilt = protocol.downhill_rad(bench, self.rows["azimuth_deg"].to_numpy(float))
         slider = Slider(self.mass_kg(bench), self.spring_N_m, self.speed_m_s)
         cycle = steady_cycle(slider, law, rest, motion)
         level = cycle.level_N - load * np.sin(tilt)
@@ -281,7 +267,7 @@ def features(tables, nominal, measured) -> SpringSliderBlock | None:
     """Features of every run; without traces, the quantities of the design."""
     runs = tables["spring_slider_runs"]
     traces = tables.get("spring_slider") if measured else None
-    cloth, added = masses_of(runs, nominal)
+    cloth, added = protocol.masses_of(runs, nominal)
     mass = cloth + added
     spring = runs["spring_N_m"].to_numpy(float)
     speed = runs["speed_mm_s"].to_numpy(float) * 1e-3
@@ -304,11 +290,11 @@ def features(tables, nominal, measured) -> SpringSliderBlock | None:
         lines, of_tracks = _features(readings, u, 1e3 * speed * np.sqrt(spring * mass))
     if not lines:
         return None
-    index, rows = feature_rows(covariates_of(runs, "stage_azimuth_deg"), lines)
+    index, rows = protocol.feature_rows(protocol.covariates_of(runs, "stage_azimuth_deg"), lines)
     static = (rows["quantity"] != LEVEL).to_numpy()
     load, known = mass[index] * GRAVITY_M_S2, runs["area_cm2"].notna().to_numpy()[index]
-    area = np.where(known, runs["area_cm2"].to_numpy(float)[index] * 1e-4, USUAL_AREA_M2)
-    at_rest, in_motion = contacts_of(rows, static, load, area)
+    area = np.where(known, runs["area_cm2"].to_numpy(float)[index] * 1e-4, protocol.USUAL_AREA_M2)
+    at_rest, in_motion = protocol.contacts_of(rows, static, load, area)
     # The stick that a usual excess would make: the measured one grows with the drop itself.
     stick = 2 * USUAL_EXCESS * load / (spring * speed)[index]
     rows["dwell_s"] = np.where(rows["quantity"] == SWING, stick, rows["dwell_s"])
@@ -329,30 +315,30 @@ def features(tables, nominal, measured) -> SpringSliderBlock | None:
     return block
 
 
-SPRING_SLIDER = Protocol(
+SPRING_SLIDER = protocol.Protocol(
     "spring_slider",
     "e",
     {
         "spring_slider_runs": (
-            *RUN_COLUMNS,
-            azimuth("stage_azimuth_deg"),
-            number("area_cm2", 1e-3, 1e5, True, usual=50.0),
-            number("added_mass_g", 0, 1e5, usual=50.0),
-            number("spring_N_m", 1e-3, 1e7, usual=200.0),
-            number("speed_mm_s", 1e-6, 1e4, usual=1.0),
-            number("u_force_mN", 1e-6, 1e5, usual=0.5),
+            *protocol.RUN_COLUMNS,
+            protocol.azimuth("stage_azimuth_deg"),
+            protocol.number("area_cm2", 1e-3, 1e5, True, usual=50.0),
+            protocol.number("added_mass_g", 0, 1e5, usual=50.0),
+            protocol.number("spring_N_m", 1e-3, 1e7, usual=200.0),
+            protocol.number("speed_mm_s", 1e-6, 1e4, usual=1.0),
+            protocol.number("u_force_mN", 1e-6, 1e5, usual=0.5),
         ),
         "spring_slider": (
-            text("run_id", may_be_empty=False),
-            number("t_s", -1e7, 1e7),
-            number("force_mN", -1e7, 1e7),
+            protocol.text("run_id", may_be_empty=False),
+            protocol.number("t_s", -1e7, 1e7),
+            protocol.number("force_mN", -1e7, 1e7),
         ),
     },
     nominal=(),
     quantities=(
-        Quantity(LEVEL, "level"),
-        Quantity(SWING, "half drop"),
-        Quantity(FIRST_SWING, "half of the first drop"),
+        protocol.Quantity(LEVEL, "level"),
+        protocol.Quantity(SWING, "half drop"),
+        protocol.Quantity(FIRST_SWING, "half of the first drop"),
     ),
     features=features,
     signals=(Signal("force_mN", "force cell", "u_force_mN"),),

@@ -10,18 +10,7 @@ from pathlib import Path
 import numpy as np
 from scipy.interpolate import RectBivariateSpline, make_interp_spline
 
-from slipstitch.criticise.protocols.protocol import (
-    RUN_COLUMNS,
-    Block,
-    Protocol,
-    Quantity,
-    azimuth,
-    conditions_of,
-    covariates_of,
-    downhill_rad,
-    number,
-    text,
-)
+from slipstitch.criticise.protocols import protocol
 from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.friction_law import Contact, FrictionLaw
 
@@ -62,13 +51,9 @@ def areal_contact(weight_number: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def foot(weight_number: np.ndarray, ratio: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Vertical strain and foot load of a strip whose foot carries the friction ratio Q/P.
+    """Vertical strain and foot load (in B width / L^2) of a strip at a friction ratio Q/P.
 
     Beyond areal contact the strain goes on linearly: a latent value, for censored trials.
-
-    Returns
-    -------
-    strain, load : (n,) and (n,), the load in B width / L^2.
     """
     curvature, load, largest, (low, high) = _table()
     weight_number = np.clip(weight_number, low, high)
@@ -90,11 +75,7 @@ def slip_strain(
 ) -> np.ndarray:
     """Strain at which the foot slips: tan(atan(Q/P) + tilt) = F(P) / P.
 
-    Parameters
-    ----------
-    weight_number : (n,) rho g L^3 / B.
-    force_unit_N : (n,) B width / L^2.
-    contact : an edge contact; its load is replaced.
+    ``weight_number`` is rho g L^3 / B, ``force_unit_N`` B width / L^2; both (n,).
     """
     ratio = np.full(np.shape(weight_number), law.coefficient, dtype=float)
     for _ in range(iterations):
@@ -110,7 +91,7 @@ def slip_strain(
 
 
 @dataclass
-class StripBlock(Block):
+class StripBlock(protocol.Block):
     """Slip strains; the strip's stiffness, weight and edge per row."""
 
     COEFFICIENT = "mu_edge"
@@ -137,7 +118,7 @@ class StripBlock(Block):
             weight * self.length_m**3 / bending,
             bending * self.width_m / self.length_m**2,
             self.contact,
-            downhill_rad(bench, self.rows["azimuth_deg"].to_numpy(float)),
+            protocol.downhill_rad(bench, self.rows["azimuth_deg"].to_numpy(float)),
         )
         return strain * bench.camera_scale + bench.strain_zero
 
@@ -145,7 +126,7 @@ class StripBlock(Block):
 def features(tables, nominal, measured) -> StripBlock:
     """A strain at slip a trial; partial trials are lower bounds, never dropped."""
     table = tables["strip"]
-    rows = covariates_of(table, "azimuth_deg")
+    rows = protocol.covariates_of(table, "azimuth_deg")
     rows["quantity"] = "eps_slip"
     rows["y"] = table["eps_slip"] if measured else np.nan
     rows["u"] = table["u_eps"].to_numpy(float)
@@ -161,30 +142,32 @@ def features(tables, nominal, measured) -> StripBlock:
         area_m2=width * nominal["thickness_m"],
         dwell_s=rows["dwell_s"].to_numpy(float),
         edge=True,
-        **conditions_of(rows),
+        **protocol.conditions_of(rows),
     )
     rows["load_ratio"] = contact.load_ratio()
     return StripBlock("strip", rows, contact, areal_mass, bending, length, width)
 
 
-STRIP = Protocol(
+STRIP = protocol.Protocol(
     "strip",
     "b",
     {
         "strip": (
-            *RUN_COLUMNS,
-            azimuth("azimuth_deg"),
-            number("length_mm", 1, 1e4, usual=45.0),
-            number("width_mm", 0.1, 1e4, usual=12.0),
-            number("ply", 1, 100, usual=1.0),
-            number("push_speed_mm_s", 0, 1e4, True, usual=0.5),
-            number("eps_slip", -0.2, 1.0, measured=True),
-            number("u_eps", 1e-6, 0.5, usual=0.004),
-            text("regime", may_be_empty=False, choices=("slipped", "partial"), measured=True),
+            *protocol.RUN_COLUMNS,
+            protocol.azimuth("azimuth_deg"),
+            protocol.number("length_mm", 1, 1e4, usual=45.0),
+            protocol.number("width_mm", 0.1, 1e4, usual=12.0),
+            protocol.number("ply", 1, 100, usual=1.0),
+            protocol.number("push_speed_mm_s", 0, 1e4, True, usual=0.5),
+            protocol.number("eps_slip", -0.2, 1.0, measured=True),
+            protocol.number("u_eps", 1e-6, 0.5, usual=0.004),
+            protocol.text(
+                "regime", may_be_empty=False, choices=("slipped", "partial"), measured=True
+            ),
         )
     },
     nominal=("rho_kg_m2", "B_strip_Nm", "ply_exponent", "thickness_m"),
-    quantities=(Quantity("eps_slip", "slip strain"),),
+    quantities=(protocol.Quantity("eps_slip", "slip strain"),),
     features=features,
     varied=(("length_mm", (30, 45, 60)),),
 )

@@ -94,12 +94,7 @@ def markdown(case: Case, verdict: dict, analysis: Analysis) -> str:
 def _traces(analysis: Analysis) -> list[tuple[str, str, float]]:
     """The strongest test of each mechanism and along each covariate: what, shape, p."""
     outcome = analysis.null_outcome
-    best: dict[str, int] = {}
-    for i, test in enumerate(outcome.tests):
-        if np.isfinite(outcome.log_p[i]):
-            name = test.mechanism or COVARIATES[str(test.covariate)].title
-            if name not in best or outcome.log_p[i] > outcome.log_p[best[name]]:
-                best[name] = i
+    best = outcome.strongest_by(lambda t: t.mechanism or COVARIATES[str(t.covariate)].title)
     order = sorted(best.items(), key=lambda item: outcome.adjusted[item[1]])[:MOST_TRACES]
     return [
         (name, outcome.tests[i].shape or "the mechanism's own", outcome.adjusted[i])

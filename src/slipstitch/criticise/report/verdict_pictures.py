@@ -13,7 +13,6 @@ from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.covariates import COVARIATES
 from slipstitch.criticise.inference.discrepancy import along, specimen_factors
 from slipstitch.criticise.inference.fit import Fit
-from slipstitch.criticise.inference.structure import Outcome
 from slipstitch.criticise.protocols import QUANTITIES
 from slipstitch.criticise.verdict import Analysis
 
@@ -145,7 +144,7 @@ def residual_picture(analysis: Analysis, extended: Fit | None) -> Figure:
 
 def pattern(axes, analysis, covariate, outcome):
     """The shape that the strongest test along a covariate found, drawn through the residuals."""
-    best = _strongest(outcome, covariate)
+    best = outcome.strongest_shapes().get(covariate)
     if best is None:
         return
     residual, good = relative_residuals(analysis, analysis.null)
@@ -218,15 +217,15 @@ def covariate_picture(analysis: Analysis) -> Figure | None:
     if not panels:
         return None
     rows, outcome = -(-len(panels) // COLUMNS), analysis.null_outcome
+    strongest = outcome.strongest_shapes()
     figure = new_figure(9.0, 2.5 * rows)
     grid = figure.subplots(rows, COLUMNS, squeeze=False)
     for axes in grid.flat[len(panels) :]:
         axes.remove()
     for axes, (covariate, x, y) in zip(grid.flat, panels, strict=False):
         series(axes, x, y, VERMILION, None)
-        found = _strongest(outcome, covariate.name)
-        if found is not None:
-            p = outcome.adjusted[found]
+        if covariate.name in strongest:
+            p = outcome.adjusted[strongest[covariate.name]]
             axes.set_title(f"p = {p:.2g}", color=INK if p < 0.05 else FAINT)
         if covariate.text:
             labels = sorted(set(analysis.measurements.rows[covariate.name]) - {""})
@@ -239,15 +238,6 @@ def covariate_picture(analysis: Analysis) -> Figure | None:
     for row in grid:
         row[0].set_ylabel("% of friction")
     return figure
-
-
-def _strongest(outcome: Outcome, name: str) -> int | None:
-    own = [
-        i
-        for i, test in enumerate(outcome.tests)
-        if test.covariate == name and test.family == "generic" and np.isfinite(outcome.log_p[i])
-    ]
-    return max(own, key=lambda i: outcome.log_p[i], default=None)
 
 
 @styled
