@@ -7,14 +7,12 @@ import json
 
 import pytest
 import yaml
+from support.criticised import verdict_on
 from support.hidden_effects.cloth_bench import make_campaign
 
 from slipstitch.cli.main import main
 from slipstitch.criticise.case import read_case
-from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.resimulation import resimulate
-from slipstitch.criticise.verdict import analyse
-from slipstitch.criticise.verdict_data import verdict_of
 
 PLANTED = {
     "anisotropy": {"anisotropy": 0.25},
@@ -42,13 +40,11 @@ def named(verdict):
 def test_a_hidden_anisotropy_is_found_and_the_new_simulation_is_closer(tmp_path):
     planted = {"anisotropy": {"anisotropy": 0.35}}
     make_campaign(tmp_path, planted, specimens=4, repeats=3, stroke_m=0.08, rows=81, u_pos_mm=2.5)
-    case = read_case(tmp_path)
-    analysis = analyse(assemble(case), replicates=200)
-    verdict = verdict_of(case, analysis, 1, "test")
+    verdict, _ = verdict_on(tmp_path, 200)
     assert named(verdict) == {("anisotropy",)}
     low, high = verdict["parameters"]["anisotropy"]["ci95"]
     assert low - 0.05 < 0.35 < high + 0.05
-    again = resimulate(case, verdict, rows=81).summary["all"]
+    again = resimulate(read_case(tmp_path), verdict, rows=81).summary["all"]
     # The noise alone has an error of 2.5 mm.
     assert again["rmse_extended_mm"] < min(again["rmse_null_mm"] - 0.3, 2.75)
 
@@ -69,8 +65,7 @@ def test_every_planted_effect_is_found_and_the_new_simulation_is_closer(name, tm
 def test_a_tilted_floor_is_named_and_sized(tmp_path):
     planted = {"tilt": {"tilt": 3.0, "azimuth": 30.0}}
     make_campaign(tmp_path, planted, specimens=4, repeats=3, stroke_m=0.08, rows=81)
-    case = read_case(tmp_path)
-    verdict = verdict_of(case, analyse(assemble(case), replicates=200), 1, "test")
+    verdict, _ = verdict_on(tmp_path, 200)
     assert named(verdict) == {("tilt",)}
     for name, value in {"tilt": 3.0, "tilt_azimuth": 30.0}.items():
         low, high = verdict["parameters"][name]["ci95"]

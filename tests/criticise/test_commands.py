@@ -10,13 +10,14 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from support.criticised import change, change_meta, verdict_on
 from support.hidden_effects.bench import make_case
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import file_digest, read_provenance
 from slipstitch.cli.main import main
 from slipstitch.criticise.inference import fit
-from slipstitch.criticise.prediction import lock, read_verdict, score
+from slipstitch.criticise.prediction import lock, predict_model, read_verdict, score
 
 KEYS = {
     "case",
@@ -144,10 +145,13 @@ def test_what_was_empty_may_be_recorded_and_runs_may_fail(written, predicted, tm
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        (lambda case: _edit(case, orientation_deg=17.0), "was predicted with orientation_deg"),
-        (lambda case: _edit(case, specimen_id="S99"), "was predicted with specimen_id"),
-        (lambda case: _edit(case, run_id="X1"), "run X1 of incline was not predicted"),
-        (lambda case: _nominal(case, rho_kg_m2=0.123), "its nominal values are others"),
+        (lambda case: first_run(case, orientation_deg=17.0), "was predicted with orientation_deg"),
+        (lambda case: first_run(case, specimen_id="S99"), "was predicted with specimen_id"),
+        (lambda case: first_run(case, run_id="X1"), "run X1 of incline was not predicted"),
+        (
+            lambda case: change_meta(case, nominal={"rho_kg_m2": 0.123}),
+            "its nominal values are others",
+        ),
     ],
 )
 def test_a_prediction_of_one_campaign_is_not_scored_against_another(
@@ -174,27 +178,17 @@ def test_a_lock_that_does_not_tell_its_campaign_is_refused(written, predicted, t
 def test_operators_with_dollars_in_their_names_are_drawn_as_they_are(tmp_path):
     shipped = Path(__file__).parents[2] / "data/cases/paper_on_paper"
     case = Path(shutil.copytree(shipped, tmp_path / "case"))
-    runs = pd.read_csv(case / "spring_slider_runs.csv")
-    runs["operator"] = [["$5_$6_", "b"][k % 2] for k in range(len(runs))]
-    runs.to_csv(case / "spring_slider_runs.csv", index=False)
+    change(case / "spring_slider_runs.csv", operator=lambda t: np.where(t.index % 2, "b", "$5_$6_"))
     words = ["--out", str(tmp_path / "v.json"), "--report", str(tmp_path / "v.html")]
     assert not main(["criticise", str(case), *words])
     assert "<!-- $5_$6_ -->" in (tmp_path / "v.html").read_text()
 
 
-def _edit(case, **cells):
+def first_run(case, **cells):
     """Other cells in the first run."""
-    table = pd.read_csv(case / "incline.csv")
-    for name, value in cells.items():
-        table[name] = table[name].astype(object)
-        table.loc[0, name] = value
+    table = pd.read_csv(case / "incline.csv", dtype=object)
+    table.loc[0, list(cells)] = list(cells.values())
     table.to_csv(case / "incline.csv", index=False)
-
-
-def _nominal(case, **values):
-    meta = json.loads((case / "meta.json").read_text())
-    meta["nominal"] |= values
-    (case / "meta.json").write_text(json.dumps(meta))
 
 
 def test_a_fit_that_does_not_converge_gives_one_line_and_no_verdict(
@@ -244,8 +238,7 @@ def test_a_seed_below_zero_is_refused(written, capsys):
 def test_bounds_alone_give_strict_json_without_warnings(written, tmp_path):
     case = tmp_path / "case"
     shutil.copytree(written / "case", case)
-    table = pd.read_csv(case / "incline.csv").assign(censored=1, angle_deg=60.0)
-    table.to_csv(case / "incline.csv", index=False)
+    change(case / "incline.csv", censored=1, angle_deg=60.0)
     page = tmp_path / "page.html"
     words = ["--out", str(tmp_path / "v.json"), "--report", str(page), "--replicates", "50"]
     assert not main(["criticise", str(case), *words])
@@ -255,3 +248,21 @@ def test_bounds_alone_give_strict_json_without_warnings(written, tmp_path):
 
     verdict = json.loads((tmp_path / "v.json").read_text(), parse_constant=refuse)
     assert verdict["gain"]["estimate"] is None
+
+
+@pytest.mark.slow
+def test_scores_of_left_out_specimens_are_near_those_of_the_models_written_down(tmp_path):
+    # An effect far beyond the scatter: the null needs a scatter of its own to predict with.
+    truth = make_case(61040, "pair", tmp_path)
+    assert set(truth["effects"]) == {"humidity", "time_lag"}
+    verdict, analysis = verdict_on(tmp_path)
+    measured = analysis.measurements
+    assert "time_lag" in verdict["causes"]
+    scores = []
+    for name in ("null", "extended"):
+        mean, sd = predict_model(verdict["models"][name], measured)
+        z = (measured.y - mean) / sd
+        scores.append(-0.5 * (np.log(2 * np.pi * sd**2) + z**2))
+    null, extended = (score[~measured.lower_bound].mean() for score in scores)
+    assert verdict["null"]["log_score_per_row"] == pytest.approx(null, abs=0.5)
+    assert verdict["gain"]["estimate"] == pytest.approx(extended - null, abs=0.5)

@@ -8,6 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 import yaml
+from support.criticised import measured
 from support.hidden_effects.bench import make_case
 
 from slipstitch.base.errors import BadInput
@@ -44,14 +45,14 @@ PLANTED = {
 STRIBECK = PLANTED["a dip at one speed"]
 
 
-def measured(folder, seed, planted):
+def planted_case(folder, seed, planted):
     effects = {"smooth": {"along": planted[0], "law": planted[1]}} if planted[0] else {}
     make_case(seed, "outside", folder, plant=(effects, planted[2]))
     return read_case(folder)
 
 
 def discrepancy(folder, seed, planted):
-    m = assemble(measured(folder, seed, planted))
+    m = assemble(planted_case(folder, seed, planted))
     null, state = robust_fit(m)
     return m, state, embedded_discrepancy(m, null, state)
 
@@ -114,7 +115,7 @@ def test_coefficients_and_scatter_that_go_to_and_fro_are_damped(tmp_path):
 
 def test_an_effect_of_no_covariate_is_no_factor(tmp_path):
     make_case(7, "outside", tmp_path, plant=({"operator": {"size": 0.3}}, ["incline"]))
-    m = assemble(read_case(tmp_path))
+    m = measured(tmp_path)
     null, state = robust_fit(m)
     assert embedded_discrepancy(m, null, state)["covariate"] is None
 
@@ -146,7 +147,7 @@ def test_no_formula_is_proposed_for_a_patch(tmp_path):
 
 def test_verdict_page_and_model_hold_the_factor_and_a_simulation_reads_it(tmp_path):
     paths = Paths(tmp_path / "v.json", page=tmp_path / "p.html", model=tmp_path / "m.yaml")
-    words = criticise_to_files(measured(tmp_path / "case", SEED, STRIBECK), 1, 200, paths)
+    words = criticise_to_files(planted_case(tmp_path / "case", SEED, STRIBECK), 1, 200, paths)
     assert "no known mechanism explains" in words
     verdict = json.loads((tmp_path / "v.json").read_text())
     assert verdict["verdict"] == "unknown"
@@ -167,7 +168,7 @@ def test_verdict_page_and_model_hold_the_factor_and_a_simulation_reads_it(tmp_pa
 @pytest.mark.parametrize("name", ["a dip at one speed", "a patch"])
 def test_a_fresh_campaign_is_predicted_better_with_the_factor(name, tmp_path):
     planted = PLANTED[name]
-    m = assemble(measured(tmp_path / "first", SEED, planted))
+    m = assemble(planted_case(tmp_path / "first", SEED, planted))
     null, state = robust_fit(m)
     found = embedded_discrepancy(m, null, state)
     analysis = SimpleNamespace(measurements=m, state=state)
@@ -186,7 +187,7 @@ def test_a_fresh_campaign_is_predicted_better_with_the_factor(name, tmp_path):
     for draw in (1, 2, 3):
         folder = tmp_path / str(draw)
         make_case(SEED, "outside", folder, plant=(effects, planted[2]), draw=draw)
-        fresh = assemble(read_case(folder))
+        fresh = measured(folder)
         for key, table in ((None, None), ("factor", found)):
             mean, sd = (x[~fresh.lower_bound] for x in predict_model(model, fresh, table))
             z = (fresh.y[~fresh.lower_bound] - mean) / sd

@@ -3,6 +3,7 @@
 import numpy as np
 import pandas as pd
 import pytest
+from support.criticised import measured
 from support.departures.campaign import draw_plan, write
 from support.hidden_effects.bench import make_case
 
@@ -10,6 +11,7 @@ from slipstitch.criticise.case import read_case
 from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.inference.fit import parameters_of
 from slipstitch.criticise.measurements import assemble
+from slipstitch.criticise.protocols import PROTOCOLS
 
 SEEDS = range(40, 52)
 # Standard deviation of z by feature; that of features with a specimen's scatter in them is known to
@@ -29,7 +31,7 @@ def z_scores(tmp_path_factory):
         folder = tmp_path_factory.mktemp(f"case{seed}")
         protocols = ["incline", "strip", "drag", "drop_drag"]
         truth = make_case(seed, "null", folder, plant=({}, protocols))
-        m = assemble(read_case(folder))
+        m = measured(folder)
         noise = truth["noise"]
         values = {"mu_face": np.log(truth["mu_face"]), "mu_edge": np.log(truth["mu_edge"])}
         expected = m.predict(values, ())
@@ -42,63 +44,53 @@ def z_scores(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_every_feature_of_the_four_protocols_is_found(z_scores):
+def test_z_scores_of_every_feature_have_mean_zero_and_the_spread_that_they_should(z_scores):
     assert set(z_scores.groups) == {
-        "angle_deg",
-        "eps_slip",
-        "relaxed_mN",
-        "stiffness",
-        "force_first_slip_mN",
-        "force_plateau_mN",
-        "lost_motion_mm",
-        "force_reversal_slip_mN",
-        "force_back_plateau_mN",
-        "lag_mm",
-        "edge_slope",
-        "contact_len_mm",
-        "first_motion_mm",
-        "stuck_contact_mm",
-        "edge_at_turn_mm",
+        quantity.name
+        for name in ("incline", "strip", "drag", "drop_drag")
+        for quantity in PROTOCOLS[name].quantities
     }
-
-
-@pytest.mark.slow
-def test_z_scores_have_the_standard_deviation_they_should(z_scores):
-    spread = z_scores.std()
+    spread, limits = z_scores.std(), {name: CAUTIOUS.get(name, SPREAD) for name in z_scores.groups}
     outside = {
-        name: round(found, 2)
-        for name, found in spread.items()
-        if not CAUTIOUS.get(name, SPREAD)[0] < found < CAUTIOUS.get(name, SPREAD)[1]
+        n: round(found, 2) for n, found in spread.items() if not limits[n][0] < found < limits[n][1]
     }
     assert not outside
-
-
-@pytest.mark.slow
-def test_z_scores_have_mean_zero(z_scores):
     # Runs of a specimen share its scatter, so the mean of some hundred z is known to about 0.15.
     assert (z_scores.mean().abs() < 0.3).all(), z_scores.mean().round(2).to_dict()
 
 
-@pytest.mark.parametrize("fault", [("force_cell", "force_mN", "delay", 0.12, "s"), None])
-def test_a_late_force_cell_moves_the_start_and_spoils_nothing_else(fault, tmp_path):
-    plan = draw_plan(2, "single", False)
-    for seed in range(3, 300):
-        if "drag" in plan.protocols:
-            break
-        plan = draw_plan(seed, "single", False)
-    plan.effects, size = {}, 0.0
-    if fault is not None:
-        names = ("sensor", "quantity", "kind", "size", "unit")
-        plan.faults = [{"protocol": "drag", **dict(zip(names, fault, strict=True))}]
-        size = plan.faults[0]["size"]
-    write(plan, tmp_path)
-    m = assemble(read_case(tmp_path))
+def written(plan, folder):
+    """The case of a plan."""
+    write(plan, folder)
+    return read_case(folder)
+
+
+def z_of(m, plan, quantity, zeros=None):
+    """Of one quantity beside the null that is true."""
     values = {"mu_face": np.log(plan.mu_face), "mu_edge": np.log(plan.mu_edge)}
-    expected = m.predict(values, (), {"force_delay_s": size})
-    z = (m.y - expected) / (m.u * plan.understated)
+    z = (m.y - m.predict(values, (), zeros or {})) / (m.u * plan.understated)
+    own = z[(m.rows["quantity"] == quantity).to_numpy()]
+    assert len(own) >= 5
+    return own
+
+
+@pytest.fixture
+def drag_plan():
+    """A campaign of drags without effects."""
+    plans = (draw_plan(seed, "single", False) for seed in range(2, 300))
+    plan = next(plan for plan in plans if "drag" in plan.protocols)
+    plan.effects = {}
+    return plan
+
+
+@pytest.mark.parametrize("late_s", [0.12, 0.0])
+def test_a_late_force_cell_moves_the_start_and_spoils_nothing_else(late_s, drag_plan, tmp_path):
+    if late_s:
+        fault = {"sensor": "force_cell", "quantity": "force_mN", "kind": "delay", "unit": "s"}
+        drag_plan.faults = [{"protocol": "drag", **fault, "size": late_s}]
+    m = assemble(written(drag_plan, tmp_path))
     for quantity in ("relaxed_mN", "stiffness"):
-        own = z[(m.rows["quantity"] == quantity) & (m.protocol == "drag")]
-        assert len(own) >= 5
+        own = z_of(m, drag_plan, quantity, {"force_delay_s": late_s})
         assert np.abs(own).max() < 4.5, quantity
         assert abs(own.mean()) < 0.7, quantity
         assert own.std() < 1.35, quantity
@@ -125,61 +117,36 @@ def test_remembered_predictions_are_those_that_would_be_made_anew(tmp_path):
     assert changed == set(MECHANISMS)
 
 
-@pytest.fixture
-def drag_plan():
-    """A campaign of drags without effects."""
-    for seed in range(2, 300):
-        plan = draw_plan(seed, "single", False)
-        if "drag" in plan.protocols:
-            plan.effects = {}
-            return plan
-    raise AssertionError
-
-
 @pytest.mark.parametrize("lost", ["turn", "fall"])
 def test_what_happened_while_no_reading_was_taken_is_not_guessed(lost, drag_plan, tmp_path):
-    write(drag_plan, tmp_path)
-    case = read_case(tmp_path)
+    case = written(drag_plan, tmp_path)
     trace = case.tables["drag"]
     runs = pd.unique(trace["run_id"])[::3]
     turn = trace["x_stage_mm"].max()
-    back = (trace["stroke"] == 1) & trace["run_id"].isin(runs)
+    near = trace["run_id"].isin(runs)
     if lost == "turn":
-        near = trace["run_id"].isin(runs) & (trace["x_stage_mm"] > turn - 2.0)
+        near &= trace["x_stage_mm"] > turn - 2.0
     else:  # all of the fall
         off = trace["force_mN"] > trace.groupby("run_id")["force_mN"].transform("min") * 0.8
-        near = back & off & (trace["x_stage_mm"] < turn - 0.2)
+        near &= (trace["stroke"] == 1) & off & (trace["x_stage_mm"] < turn - 0.2)
     case.tables["drag"] = trace[~near]
-    m = assemble(case)
-    values = {"mu_face": np.log(drag_plan.mu_face), "mu_edge": np.log(drag_plan.mu_edge)}
-    z = (m.y - m.predict(values, ())) / (m.u * drag_plan.understated)
-    own = z[(m.rows["quantity"] == "lost_motion_mm") & (m.protocol == "drag")]
-    assert len(own) >= 5
-    assert np.abs(own).max() < 4.5
+    assert np.abs(z_of(assemble(case), drag_plan, "lost_motion_mm")).max() < 4.5
 
 
 def test_a_first_reading_far_off_moves_no_ramp(drag_plan, tmp_path):
-    write(drag_plan, tmp_path)
-    case = read_case(tmp_path)
+    case = written(drag_plan, tmp_path)
     trace = case.tables["drag"]
     first = ~trace.duplicated("run_id")
     # A late stage: the force rests before it rises, but for one reading that is far off.
     noise = float(case.tables["drag_runs"]["u_force_mN"].iloc[0])
-    out = trace["stroke"] == 0
-    trace.loc[out, "x_stage_mm"] += 2.0
+    trace.loc[trace["stroke"] == 0, "x_stage_mm"] += 2.0
     rest = [
         trace[first].assign(x_stage_mm=x, force_mN=-9 * noise if x == 0 else 0.0)
         for x in np.arange(0, 2.0, 0.25)
     ]
-    case.tables["drag"] = pd.concat([*rest, trace], ignore_index=True).sort_values(
-        ["run_id", "stroke"], kind="stable"
-    )
-    m = assemble(case)
-    values = {"mu_face": np.log(drag_plan.mu_face), "mu_edge": np.log(drag_plan.mu_edge)}
-    expected = m.predict(values, (), {"stage_zero_m": 2e-3})
-    z = (m.y - expected) / (m.u * drag_plan.understated)
-    own = z[(m.rows["quantity"] == "relaxed_mN") & (m.protocol == "drag")]
-    assert len(own) >= 5
+    whole = pd.concat([*rest, trace], ignore_index=True)
+    case.tables["drag"] = whole.sort_values(["run_id", "stroke"], kind="stable")
+    own = z_of(assemble(case), drag_plan, "relaxed_mN", {"stage_zero_m": 2e-3})
     assert np.abs(own).max() < 4.5
 
 
@@ -190,7 +157,7 @@ def null_of(seed, protocol, folder, scatter=True):
     if not scatter:
         plan.scatter = {protocol: (0.0, 0.0)}
     write(plan, folder)
-    m = assemble(read_case(folder))
+    m = measured(folder)
     zeros = {"damping": plan.damping} if protocol == "spring_slider" else {}
     values = {"mu_face": np.log(plan.mu_face), "mu_edge": np.log(plan.mu_edge)}
     return m, m.y - m.predict(values, (), zeros), plan

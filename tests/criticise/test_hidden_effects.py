@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
+from support.criticised import judged, measured
 from support.hidden_effects.bench import make_case
 
-from slipstitch.criticise.case import read_case
 from slipstitch.criticise.causes import MECHANISMS
-from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.verdict import analyse
 
 # One plain effect a mechanism, in the protocols that can tell it from the others.
@@ -32,9 +31,9 @@ PLANTED = {
 LABEL = {"r0": "wear_r0", "azimuth": "tilt_azimuth"}
 
 
-def judged(folder, seed, kind, **options):
+def case_judged(folder, seed, kind, **options):
     truth = make_case(seed, kind, folder, **options)
-    return truth, analyse(assemble(read_case(folder)), replicates=200)
+    return truth, judged(folder, 200)
 
 
 def test_every_mechanism_is_planted():
@@ -45,7 +44,7 @@ def test_every_mechanism_is_planted():
 @pytest.mark.parametrize("name", PLANTED)
 def test_a_planted_effect_is_named_and_sized(name, tmp_path):
     values, protocols = PLANTED[name]
-    _, analysis = judged(tmp_path, 19, "single", plant=({name: values}, protocols))
+    _, analysis = case_judged(tmp_path, 19, "single", plant=({name: values}, protocols))
     assert (analysis.verdict, analysis.causes) == ("cause", (name,))
     found = analysis.intervals(analysis.chosen.fitted).of_sizes()
     for key, value in values.items():
@@ -60,7 +59,7 @@ def test_a_planted_effect_is_named_and_sized(name, tmp_path):
 @pytest.mark.parametrize("protocols", [["incline", "strip"], ["drag"], ["drop_drag"]])
 def test_nothing_hidden_nothing_named(protocols, hidden_seed, tmp_path):
     seed = hidden_seed(31)
-    _, analysis = judged(tmp_path, seed, "null", plant=({}, protocols))
+    _, analysis = case_judged(tmp_path, seed, "null", plant=({}, protocols))
     # At 5 % a false alarm must happen now and then; a confident wrong name must not.
     assert analysis.verdict in ("none", "unknown") or analysis.global_p > 1e-3, seed
 
@@ -68,7 +67,7 @@ def test_nothing_hidden_nothing_named(protocols, hidden_seed, tmp_path):
 @pytest.mark.slow
 def test_a_patch_of_the_substrate_is_unknown_and_located(tmp_path):
     patch = {"patch": {"size": 0.4, "at": 100.0, "width": 18.0}}
-    _, analysis = judged(tmp_path, 5, "outside", plant=(patch, ["incline", "strip"]))
+    _, analysis = case_judged(tmp_path, 5, "outside", plant=(patch, ["incline", "strip"]))
     assert analysis.verdict == "unknown"
     strongest = analysis.null_outcome.tests[analysis.null_outcome.strongest("generic")]
     assert strongest.covariate == "pos_x_mm"
@@ -78,13 +77,13 @@ def test_a_patch_of_the_substrate_is_unknown_and_located(tmp_path):
 @pytest.mark.parametrize("fixed", [37, 41])
 def test_for_a_covariate_that_was_not_recorded_nothing_else_is_blamed(fixed, hidden_seed, tmp_path):
     seed = hidden_seed(fixed)
-    truth, analysis = judged(tmp_path, seed, "unrecorded")
+    truth, analysis = case_judged(tmp_path, seed, "unrecorded")
     assert analysis.verdict != "cause" or set(analysis.causes) == set(truth["effects"]), seed
 
 
 @pytest.mark.slow
 def test_nothing_is_blamed_for_a_threefold_direction_that_was_not_recorded(tmp_path):
-    truth, analysis = judged(tmp_path, 40, "unrecorded")
+    truth, analysis = case_judged(tmp_path, 40, "unrecorded")
     assert analysis.verdict != "cause" or set(analysis.causes) == set(truth["effects"])
 
 
@@ -95,7 +94,7 @@ def test_exact_aliases_are_confounded(tmp_path):
         truth = make_case(seed, "ambiguous", tmp_path / str(seed), **options)
         if {"load_power", "adhesion"} & set(truth["effects"]):
             break
-    analysis = analyse(assemble(read_case(tmp_path / str(seed))), replicates=200)
+    analysis = judged(tmp_path / str(seed), 200)
     assert analysis.verdict in ("confounded", "none")
     if analysis.verdict == "confounded":
         assert {("load_power",), ("adhesion",)} <= set(analysis.alternatives)
@@ -103,6 +102,6 @@ def test_exact_aliases_are_confounded(tmp_path):
 
 def test_the_same_data_and_seed_give_the_same_verdict(tmp_path):
     make_case(8, "null", tmp_path, plant=({}, ["incline"]))
-    first, second = (analyse(assemble(read_case(tmp_path)), seed=3) for _ in range(2))
+    first, second = (analyse(measured(tmp_path), seed=3) for _ in range(2))
     assert first.global_p == second.global_p
     assert np.array_equal(first.null.values, second.null.values)

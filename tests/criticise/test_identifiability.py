@@ -5,13 +5,12 @@ import json
 import numpy as np
 import pytest
 import yaml
+from support.criticised import verdict_on
 from support.hidden_effects.bench import make_case
 
 from slipstitch.cli.main import main
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.inference.intervals import AT_BOUND, TOO_WIDE, not_identified
-from slipstitch.criticise.measurements import assemble
-from slipstitch.criticise.verdict import analyse
 from slipstitch.criticise.verdict_data import extended_model, verdict_of
 
 
@@ -77,14 +76,12 @@ def test_a_cause_that_is_hardly_known_is_named_and_marked_but_not_exported(tmp_p
 
 def test_a_tilt_that_is_known_is_exported_with_an_azimuth_within_a_turn(tmp_path):
     make_case(19, "single", tmp_path, plant=({"tilt": {"tilt": 2.5, "azimuth": 30.0}}, ["incline"]))
-    case = read_case(tmp_path)
-    analysis = analyse(assemble(case), replicates=100)
-    verdict = verdict_of(case, analysis, 1, "test")
+    verdict, analysis = verdict_on(tmp_path)
     assert verdict["not_exported"] == {}
     assert set(extended_model(verdict)["bench"]) == {"tilt_along_rad", "tilt_across_rad"}
     # With errors far larger than the tilt, any azimuth will do.
     analysis.chosen.fitted.covariance[:] *= 1e6
-    blurred = verdict_of(case, analysis, 1, "test")
+    blurred = verdict_of(read_case(tmp_path), analysis, 1, "test")
     azimuth = blurred["parameters"]["tilt_azimuth"]
     assert np.ptp(azimuth["ci95"]) == pytest.approx(360.0, abs=1e-2)
     assert set(blurred["not_exported"]) == {"tilt"}

@@ -4,17 +4,14 @@ import json
 import shutil
 
 import numpy as np
-import pandas as pd
 import pytest
+from support.criticised import change, change_meta, verdict_on
 from support.hidden_effects.bench import make_case
 
 from slipstitch.cli.main import main
 from slipstitch.criticise.case import read_case
-from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.plausibility import implausible
 from slipstitch.criticise.statement import sentence
-from slipstitch.criticise.verdict import analyse
-from slipstitch.criticise.verdict_data import verdict_of
 
 MIXED = ["incline", "strip", "drag", "drop_drag"]
 
@@ -29,19 +26,16 @@ def good(tmp_path_factory):
 def spoilt(good, folder, table, **columns):
     """A copy of the case with columns of a table changed."""
     shutil.copytree(good, folder)
-    content = pd.read_csv(folder / f"{table}.csv")
-    content.assign(**columns).to_csv(folder / f"{table}.csv", index=False)
+    change(folder / f"{table}.csv", **columns)
     return folder
 
 
 def alone(folder, protocol):
     """The case with one protocol only."""
-    for name in MIXED:
-        if name != protocol:
-            for path in (folder / f"{name}.csv", folder / f"{name}_runs.csv"):
-                path.unlink(missing_ok=True)
-    meta = json.loads((folder / "meta.json").read_text()) | {"protocols": [protocol]}
-    (folder / "meta.json").write_text(json.dumps(meta))
+    for name in set(MIXED) - {protocol}:
+        for path in (folder / f"{name}.csv", folder / f"{name}_runs.csv"):
+            path.unlink(missing_ok=True)
+    change_meta(folder, protocols=[protocol])
     return folder
 
 
@@ -89,11 +83,8 @@ def test_a_wrong_unit_is_named(good, tmp_path, table, columns, likely):
     ],
 )
 def test_a_nominal_size_of_another_unit_is_named(good, tmp_path, key, factor, words):
-    folder = tmp_path / "case"
-    shutil.copytree(good, folder)
-    meta = json.loads((folder / "meta.json").read_text())
-    meta["nominal"][key] *= factor
-    (folder / "meta.json").write_text(json.dumps(meta))
+    folder = spoilt(good, tmp_path / "case", "incline")
+    change_meta(folder, nominal={key: factor * read_case(folder).nominal[key]})
     found = implausible(read_case(folder))
     assert any(key in line and words in line for line in found)
 
@@ -107,13 +98,9 @@ def test_a_tether_half_or_twice_as_stiff_is_none_of_another_unit(good, factor):
 
 @pytest.mark.slow
 def test_a_stiffness_ten_times_off_is_named_with_the_likely_slip(tmp_path):
-    folder = tmp_path / "case"
-    make_case(4, "null", folder, plant=({}, ["drop_drag"]))
-    meta = json.loads((folder / "meta.json").read_text())
-    meta["nominal"]["B_Nm"] *= 10
-    (folder / "meta.json").write_text(json.dumps(meta))
-    case = read_case(folder)
-    verdict = verdict_of(case, analyse(assemble(case), replicates=50), 1, "test")
+    make_case(4, "null", tmp_path, plant=({}, ["drop_drag"]))
+    change_meta(tmp_path, nominal={"B_Nm": 10 * read_case(tmp_path).nominal["B_Nm"]})
+    verdict, _ = verdict_on(tmp_path, 50)
     assert "bending_error" in verdict["causes"]
     assert "A power of ten in B_Nm or B_strip_Nm?" in sentence(verdict)
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from support.criticised import measured
 
 from slipstitch.base.errors import BadInput
 from slipstitch.criticise.case import read_case
@@ -84,28 +85,26 @@ def campaign(request, tmp_path_factory):
 
 def test_level_and_first_peak_are_those_of_the_steps_in_time(campaign):
     static, folder = campaign
-    measured = assemble(read_case(folder))
-    quantity = measured.rows["quantity"].to_numpy()
+    found = measured(folder)
+    quantity = found.rows["quantity"].to_numpy()
     assert (quantity == LEVEL).sum() == (quantity == PEAK).sum() == 6
     law = FrictionLaw(MU, {"static_kinetic": {"static_kinetic": static}} if static else {})
-    expected = measured.blocks[0].predict(law, Bench())
+    expected = found.blocks[0].predict(law, Bench())
     level = quantity == LEVEL
-    assert measured.y[level] == pytest.approx(
-        expected[level], rel=0.03
-    )  # stick-slip: a mean in time
-    assert measured.y[~level] == pytest.approx(expected[~level], rel=0.3)
-    assert np.all(np.abs(measured.y - expected)[~level] < measured.u[~level])
+    assert found.y[level] == pytest.approx(expected[level], rel=0.03)  # stick-slip: a mean in time
+    assert found.y[~level] == pytest.approx(expected[~level], rel=0.3)
+    assert np.all(np.abs(found.y - expected)[~level] < found.u[~level])
 
 
 def test_an_impact_does_not_pass_for_a_static_excess(tmp_path):
     """The peak of a block that slips at its kinetic friction is told by the finger's stiffness."""
     peaks = {}
     for static in (0.0, 0.35):
-        measured = assemble(read_case(write_case(tmp_path / str(static), static, False)))
-        plain = measured.blocks[0].predict(FrictionLaw(MU), Bench())
-        own = (measured.rows["quantity"] == PEAK).to_numpy()
-        assert measured.y[own].mean() > 300.0  # a peak there is, in both
-        peaks[static] = ((measured.y - plain) / measured.u)[own].mean()
+        found = measured(write_case(tmp_path / str(static), static, False))
+        plain = found.blocks[0].predict(FrictionLaw(MU), Bench())
+        own = (found.rows["quantity"] == PEAK).to_numpy()
+        assert found.y[own].mean() > 300.0  # a peak there is, in both
+        peaks[static] = ((found.y - plain) / found.u)[own].mean()
     assert abs(peaks[0.0]) < 0.5 and peaks[0.35] > 1.5
 
 

@@ -5,6 +5,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+from support.criticised import measured
 
 from slipstitch.base.errors import BadInput
 from slipstitch.criticise.case import read_case
@@ -12,10 +13,9 @@ from slipstitch.criticise.causes import data_words
 from slipstitch.criticise.expected_traces import _READINGS as READINGS
 from slipstitch.criticise.expected_traces import ASSUMPTIONS
 from slipstitch.criticise.force_cells import cell_faults
-from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.plausibility import implausible
 from slipstitch.criticise.protocols.stick_slip import Slider, steady_force
-from slipstitch.criticise.traces import glitches
+from slipstitch.criticise.traces import glitches, noise_of, off_neighbours
 
 KINETIC, STATIC = 0.40, 0.45
 RUNS, LOAD_KG, SPRING, SPEED = 6, 0.05, 60.0, 2.0
@@ -131,16 +131,12 @@ def restarts(back_s):
     return spoil
 
 
-def read_features(folder):
-    return assemble(read_case(folder))
-
-
 @pytest.mark.parametrize("name, rate", [("spring_slider", 20), ("spring_slider", 80),
                                         ("drag", 100), ("drag", 800)])  # fmt: skip
 @pytest.mark.parametrize("size, many", [(15.0, 2), (5e3, 1)])
 def test_glitches_are_set_aside_and_said(name, rate, size, many, tmp_path):
-    clean = read_features(MAKERS[name](tmp_path / "clean", rate))
-    found = read_features(MAKERS[name](tmp_path / "case", rate, spikes(size, many)))
+    clean = measured(MAKERS[name](tmp_path / "clean", rate))
+    found = measured(MAKERS[name](tmp_path / "case", rate, spikes(size, many)))
     assert not clean.findings
     (finding,) = found.findings
     assert finding.kind == "glitches" and finding.size == RUNS * many
@@ -158,8 +154,8 @@ def test_large_glitches_at_the_ends_and_in_bursts_are_set_aside(name, first, man
         trace.loc[place : place + many - 1, column] = 3e4
         return trace
 
-    clean = read_features(MAKERS[name](tmp_path / "clean"))
-    found = read_features(MAKERS[name](tmp_path / "case", spoil=spoil))
+    clean = measured(MAKERS[name](tmp_path / "clean"))
+    found = measured(MAKERS[name](tmp_path / "case", spoil=spoil))
     assert [(f.kind, f.size) for f in found.findings] == [("glitches", RUNS * many)]
     assert found.rows["quantity"].tolist() == clean.rows["quantity"].tolist()
     levels = found.rows["quantity"].isin(LEVELS)
@@ -194,8 +190,8 @@ def test_a_coarsely_sampled_saw_tooth_has_no_glitch(samples):
     ],
 )
 def test_clocks_that_step_back_or_stand_still_are_read_and_said(name, spoil, words, tmp_path):
-    clean = read_features(MAKERS[name](tmp_path / "clean"))
-    found = read_features(MAKERS[name](tmp_path / "case", spoil=spoil))
+    clean = measured(MAKERS[name](tmp_path / "clean"))
+    found = measured(MAKERS[name](tmp_path / "case", spoil=spoil))
     assert [words in finding.quantity for finding in found.findings] == [True] * bool(words)
     levels, expected = (m.rows["quantity"].isin(LEVELS) for m in (found, clean))
     assert found.y[levels] == pytest.approx(clean.y[expected], rel=0.03)
@@ -267,5 +263,32 @@ def test_faults_of_the_force_cell_are_findings(name, spoil, words, rate, tmp_pat
 def test_a_loading_slope_that_hides_between_two_readings_is_a_finding(samples, hidden, tmp_path):
     # Recorded from the first slip on, so that no relaxed spring shows its slope either.
     late = lambda t: t[t["t_s"] > 2.0]  # noqa: E731
-    found = read_features(slider_case(tmp_path / "case", samples, late, 8.0)).findings
+    found = measured(slider_case(tmp_path / "case", samples, late, 8.0)).findings
     assert [f.size for f in found if "slope of loading" in f.quantity] == [RUNS] * hidden
+
+
+NOISE_SEEDS = 60
+
+
+@pytest.mark.parametrize("true", [1.0, 2.5])
+def test_noise_is_found_under_bends_drops_and_uneven_sampling(true):
+    factors, covered = [], 0
+    for seed in range(NOISE_SEEDS):
+        rng = np.random.default_rng(seed)
+        x = np.sort(rng.uniform(0, 100, 600))
+        saw = 40 * (x / 25 - np.floor(x / 25)) + 0.002 * x**2
+        found = noise_of("cell", "force", [off_neighbours(x, saw + true * rng.normal(size=600))])
+        low, high = found.ci95
+        assert high / low < 1.6
+        assert found.allowance == max(found.factor / 1.25, 1.0)
+        covered += low < true < high
+        factors.append(found.factor)
+    assert covered >= 0.9 * NOISE_SEEDS
+    # The mean of 60 is known to 1 %.
+    assert np.mean(factors) == pytest.approx(true, rel=0.03)
+
+
+def test_too_few_readings_tell_nothing():
+    found = noise_of("cell", "force", [np.full(10, 5.0)])
+    assert found.allowance == 1.0
+    assert found.ci95[0] == 0.0

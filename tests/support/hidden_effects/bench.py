@@ -382,6 +382,13 @@ COVARIATE_OF = {
     "operator": "operator",
     "thermal_cycle": "clock_min",
 }
+POOLS = {"single": LIBRARY, "outside": OUTSIDE, "unrecorded": tuple(COVARIATE_OF)}
+# Designs in which two mechanisms do exactly or nearly the same: which, where, what is fixed.
+AMBIGUOUS = {
+    "load": (("load_power", "adhesion"), "incline", {"area": "fixed", "load": "two"}),
+    "rest": (("static_kinetic", "ageing"), "drag", {"dwell": "reversal"}),
+    "direction": (("anisotropy", "nap"), "incline", {"orientation": "two"}),
+}
 
 
 def make_case(seed, kind, folder, noise_free=False, draw=0, effect_free=False, plant=None):
@@ -428,29 +435,14 @@ def make_case(seed, kind, folder, noise_free=False, draw=0, effect_free=False, p
         "unbalance": rng.choice([0.0, 0.15]),
         "reversal_dwell_s": nominal["reversal_dwell_s"],
     }
-    effects = {}
-    if kind == "single":
-        chosen = [rng.choice(LIBRARY)]
-    elif kind == "pair":
+    effects, chosen = {}, []
+    if kind == "pair":
         chosen = list(rng.choice(LIBRARY, 2, replace=False))
-    elif kind == "outside":
-        chosen = [rng.choice(OUTSIDE)]
-    elif kind == "unrecorded":
-        chosen = [rng.choice(list(COVARIATE_OF))]
+    elif kind in POOLS:
+        chosen = [rng.choice(POOLS[kind])]
     elif kind == "ambiguous":
-        # Designs in which two or more mechanisms do exactly or nearly the same.
-        which = rng.choice(["load", "rest", "direction"])
-        if which == "load":
-            chosen = [rng.choice(["load_power", "adhesion"])]
-            protocols, options["area"], options["load"] = {"incline"}, "fixed", "two"
-        elif which == "rest":
-            chosen = [rng.choice(["static_kinetic", "ageing"])]
-            protocols, options["dwell"] = {"drag"}, "reversal"
-        else:
-            chosen = [rng.choice(["anisotropy", "nap"])]
-            protocols, options["orientation"] = {"incline"}, "two"
-    else:
-        chosen = []
+        pair, protocol, fixed = AMBIGUOUS[rng.choice(list(AMBIGUOUS))]
+        chosen, protocols, options = [rng.choice(pair)], {protocol}, options | fixed
     if kind == "outside" and chosen[0] == "threefold":
         options["orientation"] = "trial"
     for name in chosen:
@@ -459,9 +451,8 @@ def make_case(seed, kind, folder, noise_free=False, draw=0, effect_free=False, p
         wanted = NEEDS_PROTOCOL.get(name)
         if wanted and not set(wanted) & protocols:
             protocols |= {str(rng.choice(wanted))}
-        if name in ("dwell_peak", "ageing") and not {"incline", "drag"} & protocols:
-            protocols |= {"incline"}
-        if name == "load_bump" and not {"incline", "drag"} & protocols:
+        at_rest_or_loaded = name in ("dwell_peak", "ageing", "load_bump")
+        if at_rest_or_loaded and not {"incline", "drag"} & protocols:
             protocols |= {"incline"}
     if plant is not None:
         effects, protocols = plant[0], set(plant[1])
