@@ -104,7 +104,7 @@ def test_scores_that_are_none_are_refused(scores):
 def test_intervals_cover_new_groups_as_promised_and_not_much_more():
     # Errors shared within a group: 30 groups of unequal size calibrate, one more is tested.
     random = np.random.default_rng(5)
-    hits, naive_hits, trials = 0, 0, 3000
+    hits, trials = 0, 3000
     for _ in range(trials):
         sizes = random.integers(1, 12, 31)
         groups = np.repeat(np.arange(31), sizes)
@@ -112,9 +112,7 @@ def test_intervals_cover_new_groups_as_promised_and_not_much_more():
         old = groups < 30
         limit = grouped_quantile(scores[old], groups[old].astype(str), 0.9)
         hits += (scores[~old] <= limit).mean()
-        naive_hits += (scores[~old] <= np.quantile(scores[old], 0.9)).mean()
     assert 0.89 < hits / trials < 0.935  # promised: 0.9 ... 0.9 + 1 / 31
-    assert naive_hits < hits
 
 
 def test_stretched_intervals_reach_the_truths_they_were_stretched_for():
