@@ -33,9 +33,7 @@ SPREADS = (1.0, 30.0)
 _NAMES = ("video", "simulation", "material", "friction")
 ANSWERS_SCHEMA = pa.schema(
     [
-        ("video", pa.string()),
-        ("simulation", pa.string()),
-        ("material", pa.string()),
+        *((name, pa.string()) for name in _NAMES[:3]),
         ("friction", pa.float64()),
         ("probabilities", pa.list_(pa.float32())),  # on the grid of mu, before any calibration
         ("material_logits", pa.list_(pa.float32())),

@@ -64,23 +64,9 @@ from slipstitch.learning.torch_setup import set_up_torch
 
 # What is the same for all members; the rest of a card is of one training.
 _COMMON = (
-    "materials",
-    "frames",
-    "pixels",
-    "viewpoints",
-    "pose_range",
-    "split",
-    "frictions",
-    "interpolated_videos",
-    "calibration_simulations",
-    "bfloat16",
-    "settings",
-    "dataset_digest",
-    "training_videos",
-    "training_simulations",
-    "epochs",
-    "chance_loss",
-    "use",
+    *("materials", "frames", "pixels", "viewpoints", "pose_range", "split", "frictions"),
+    *("interpolated_videos", "calibration_simulations", "bfloat16", "settings", "dataset_digest"),
+    *("training_videos", "training_simulations", "epochs", "chance_loss", "use"),
 )
 _SUMMED = ("parameters", "multiply_accumulates_per_frame")
 

@@ -29,10 +29,7 @@ READINGS_SCHEMA = pa.schema(
         ("source", pa.string()),  # digest of the dataset, SHA-256 of the file
         ("dataset", pa.string()),  # its digest, if it is known
         ("simulation", pa.string()),  # videos of one are right or wrong together
-        ("friction", pa.float64()),
-        ("reading", pa.float64()),
-        ("low", pa.float64()),
-        ("high", pa.float64()),
+        *((name, pa.float64()) for name in COLUMNS[1:]),
         ("stretch", pa.float64()),  # conformal scale at which the interval just holds
     ]
 )
