@@ -22,7 +22,7 @@ from slipstitch.config import load_config, write_config
 from slipstitch.config.catalogue import fabric_names
 from slipstitch.dataset.audit import rebuild, staleness
 from slipstitch.dataset.audit.auditing import audit_release
-from slipstitch.dataset.audit.contents import Lineage, read_contents
+from slipstitch.dataset.audit.contents import read_contents
 from slipstitch.dataset.audit.findings import Kind
 from slipstitch.dataset.manifest import dataset_digest
 from slipstitch.dataset.release.assembly import write_release
@@ -72,26 +72,13 @@ def test_untouched_release_is_intact(original):
     assert not any(audit.clip_kinds().values())
 
 
-def test_a_release_carries_its_simulations_and_the_audit_follows_them(forger, release):
+def test_a_release_carries_its_simulations_and_those_of_before_need_not(forger, release):
     assert SIMULATIONS == simulation_files.SIMULATIONS
-    carried = sorted((release / SIMULATIONS).glob("*.parquet"))
-    assert len(carried) == len(simulations(CONFIG))
-    path = release / SIMULATIONS / "m05_f0300_r00.parquet"
-    # One of another coefficient in its place, behind new sums.
-    shutil.copyfile(carried[-1], path)
-    forger.reseal()
-    assert found(release, Kind.BROKEN)[f"{SIMULATIONS}/{path.name}"] == OF_SIMULATION
-
-
-def test_a_release_without_its_simulations_is_intact(forger, release):
-    """As releases of before are."""
+    assert len(list((release / SIMULATIONS).glob("*.parquet"))) == len(simulations(CONFIG))
+    (release / ".snakemake_timestamp").touch()  # which Snakemake leaves
+    assert audit_release(release).verdict == "intact"
     shutil.rmtree(release / SIMULATIONS)
     forger.reseal()
-    assert audit_release(release).verdict == "intact"
-
-
-def test_what_snakemake_leaves_is_no_finding(release):
-    (release / ".snakemake_timestamp").touch()
     assert audit_release(release).verdict == "intact"
 
 
@@ -230,6 +217,10 @@ def test_dropped_file_is_missing(forger, release):
     assert CLIP in found(release, Kind.MISSING)[row["shard"]]
     forger.reseal()  # the manifest still knows it
     assert CLIP in found(release, Kind.MISSING)[row["shard"]]
+    (release / "manifest.parquet").unlink()
+    audit = audit_release(release)
+    assert "manifest.parquet" in {finding.where for finding in audit.of_kind(Kind.MISSING)}
+    assert audit.of_kind(Kind.BROKEN)
 
 
 def test_files_that_hubs_and_desktops_add_are_named_and_no_damage(release, capsys):
@@ -241,21 +232,13 @@ def test_files_that_hubs_and_desktops_add_are_named_and_no_damage(release, capsy
     assert main(["audit", str(release)]) == 0
     said = capsys.readouterr().out
     assert "intact" in said and "DAMAGED" not in said and "broken chain" not in said
-    assert (
-        "not part of the release, not looked at: .DS_Store, .cache, .gitattributes and 1 more"
-    ) in said
+    listed = ".DS_Store, .cache, .gitattributes and 1 more"
+    assert f"not part of the release, not looked at: {listed}" in said
     # Not so a shard: the card's pattern would load it.
     shard = next((release / "data").glob("*.parquet"))
     other = shard.with_name(shard.name.replace("-00000-", "-00099-"))
     shutil.copyfile(shard, other)
     assert set(found(release, Kind.UNEXPLAINED)) == {f"data/{other.name}"}
-
-
-def test_dropped_manifest_leaves_the_files_checked(release):
-    (release / "manifest.parquet").unlink()
-    audit = audit_release(release)
-    assert "manifest.parquet" in {finding.where for finding in audit.of_kind(Kind.MISSING)}
-    assert audit.of_kind(Kind.BROKEN)
 
 
 SIMULATION, RENDER = "simulate/m05_f0300_r00.parquet", "render/m05_f0300_r00_v00.parquet"
@@ -303,53 +286,88 @@ def test_changed_record_breaks_the_chain_of_its_clips_behind_new_sums(forger, na
     assert {clip for finding in broken for clip in finding.clips} == clips
 
 
-def test_forged_calibration_breaks_every_clip(forger, release):
-    path = release / "records/calibrate/calibration.json"
-    path.write_text(path.read_text().replace("true", "false", 1))
-    forger.reseal()
-    assert len(found(release, Kind.BROKEN)["records/calibrate/calibration.json"]) == 144
+def _exchange(folder):
+    """A simulation of another coefficient in the place of one."""
+    shutil.copyfile(max(folder.glob("*.parquet")), folder / "m05_f0300_r00.parquet")
 
 
-@pytest.mark.slow
-def test_forged_configuration_contradicts_the_records(forger, release):
-    path = release / "records/config.json"
-    content = json.loads(path.read_text())
-    content["simulation"]["time_step_s"] = 0.01
-    path.write_text(json.dumps(content))
-    forger.reseal()
+def _replace(old, new):
+    return lambda path: path.write_text(path.read_text().replace(old, new, 1))
+
+
+def _configure(**settings):
+    def edit(path):
+        content = json.loads(path.read_text())
+        content["simulation"].update(settings)
+        path.write_text(json.dumps(content))
+
+    return edit
+
+
+OF_A_SIMULATION = "records/simulate/m05_f0300_r00.parquet.record.json"
+OF_THE_CALIBRATION = "records/calibrate/calibration.json"
+#: File that is changed behind new sums, the change -> the place of what is found, some clips of it.
+FORGED = {
+    "simulation": (
+        SIMULATIONS, _exchange, f"{SIMULATIONS}/m05_f0300_r00.parquet", OF_SIMULATION
+    ),
+    "calibration": (
+        OF_THE_CALIBRATION, _replace("true", "false"), OF_THE_CALIBRATION, OF_SIMULATION
+    ),
+    "sources": (
+        "code/src/slipstitch/config/fabrics.json", _replace("0.187", "0.188"), OF_A_SIMULATION,
+        OF_SIMULATION,
+    ),
     # The calibration chose among such settings, and every simulation was made from it.
-    broken = found(release, Kind.BROKEN)
-    assert broken["records/calibrate/calibration.json.record.json"] >= {CLIP}
-    content["simulation"]["yaw_sd_deg"] = 2.0
-    path.write_text(json.dumps(content))
+    "step": (
+        "records/config.json", _configure(time_step_s=0.01), f"{OF_THE_CALIBRATION}.record.json",
+        OF_SIMULATION,
+    ),
+    "yaw": ("records/config.json", _configure(yaw_sd_deg=2.0), OF_A_SIMULATION, OF_SIMULATION),
+}  # fmt: skip
+
+
+@pytest.mark.default_cases(3)
+@pytest.mark.parametrize("name", FORGED)
+def test_a_forged_file_contradicts_the_records(forger, release, name):
+    file, change, place, clips = FORGED[name]
+    change(release / file)
     forger.reseal()
-    assert "records/simulate/m05_f0300_r00.parquet.record.json" in found(release, Kind.BROKEN)
+    broken = found(release, Kind.BROKEN)[place]
+    assert clips <= broken
+    assert len(broken) == 144 or name not in ("calibration", "step")
 
 
-def test_forged_sources_do_not_have_the_digest_of_the_records(forger, release):
-    path = release / "code/src/slipstitch/config/fabrics.json"
-    path.write_text(path.read_text().replace("0.187", "0.188", 1))
-    forger.reseal()
-    broken = found(release, Kind.BROKEN)
-    assert "records/simulate/m05_f0300_r00.parquet.record.json" in broken
-
-
-def test_changed_configuration_makes_stale_not_damaged(original):
-    other = synthetic_chain.config(sample={"frames": 5, "test_fraction": 0.2})
-    audit = audit_release(original, other)
-    assert audit.verdict == "stale"
-    (finding,) = audit.findings
-    assert finding.where == "sample"
-    assert "sample.test_fraction: 0.1 -> 0.2" in finding.what
-    slower = synthetic_chain.config(
-        simulation={"frames": 60, "vertices_per_side": 11, "time_step_s": 0.01}
-    )
+VIEWPOINTS = CONFIG.render.model_dump() | {"viewpoints": ["calibrated", "frontal", "side"]}
+#: Sections that are others now -> stages that are stale.
+CHANGED = [
+    ({"sample": {"frames": 5, "test_fraction": 0.2}}, {"sample"}),
+    ({"render": VIEWPOINTS}, {"sample"}),  # no shard for one more viewpoint
     # Simulations are told the step by the calibration: that is what has to be made anew first.
-    stages = {finding.where for finding in audit_release(original, slower).findings}
-    assert stages == {"calibrate.calibration"}
-    wider = synthetic_chain.config(simulation={"frames": 60, "yaw_sd_deg": 2.0})
-    stages = {finding.where for finding in audit_release(original, wider).findings}
-    assert "simulate" in stages
+    (
+        {"simulation": {"frames": 60, "vertices_per_side": 11, "time_step_s": 0.01}},
+        {"calibrate.calibration"},
+    ),
+    (
+        {"simulation": {"frames": 60, "vertices_per_side": 11, "yaw_sd_deg": 2.0}},
+        {"calibrate.calibration", "simulate"},
+    ),
+]
+
+
+@pytest.mark.parametrize(("sections", "stages"), CHANGED)
+def test_changed_configuration_makes_stale_not_damaged(original, sections, stages):
+    audit = audit_release(original, synthetic_chain.config(**sections))
+    assert audit.verdict == "stale"
+    assert {finding.where for finding in audit.findings} == stages
+
+
+def test_stale_is_said_with_its_reason_and_can_be_allowed(original, tmp_path, capsys):
+    write_config(synthetic_chain.config(**CHANGED[0][0]), tmp_path / "c")
+    words = ["audit", str(original), "--config", str(tmp_path / "c")]
+    assert main(words) == 1
+    assert "sample.test_fraction: 0.1 -> 0.2" in capsys.readouterr().out
+    assert main([*words, "--allow-stale"]) == 0
 
 
 @pytest.mark.slow
@@ -401,11 +419,11 @@ def test_cloths_between_simulations_are_followed_to_all_of_these(tmp_path, monke
     between = [row for row in rows if row["interpolated"]]
     assert {row["split_by_simulation"] for row in between} <= {"train", None}  # None: test-only
     shown = interpolations(config)
-    lineage = Lineage(read_contents(release))
+    contents = read_contents(release)
     for row in between:
         one = shown[row["simulation"], row["viewpoint_id"]]
         assert row["friction"] == one.friction
-        behind = {Path(each.path).stem for each in lineage.of_stage(row, "simulate")}
+        behind = {Path(each.path).stem for each in contents.of_stage(row, "simulate")}
         assert behind == set(one.weights)
 
 
@@ -472,14 +490,6 @@ def test_changed_entry_of_a_catalogue_makes_stale_not_damaged(original, monkeypa
     (of_simulate,) = (one for one in audit.findings if one.where == "simulate")
     assert "catalogue.fabrics.ivory-rib-knit: " in of_simulate.what
     assert len(of_simulate.clips) == 144 / len(CONFIG.grid.materials)
-
-
-def test_one_more_viewpoint_makes_no_shard_stale(original):
-    render = CONFIG.render.model_dump() | {"viewpoints": ["calibrated", "frontal", "side"]}
-    stages = {
-        one.where for one in audit_release(original, synthetic_chain.config(render=render)).findings
-    }
-    assert stages == {"sample"}
 
 
 def test_changed_code_makes_its_stage_stale(original, monkeypatch):
@@ -610,23 +620,11 @@ def test_command_answers_machines_and_people(release, tmp_path, capsys):
     assert content["verdict"] == "damaged"
     assert content["counts"]["altered"] == 1
     assert content["findings"][0]["where"] == "LICENSE"
+    assert main(["audit", str(release), "--json", str(release / "audit.json")]) == 2
+    assert "inside the release" in capsys.readouterr().err
     html = page.read_text(encoding="utf-8")
     assert "LICENSE" in html and "DAMAGED" in html
     assert not re.search(r"(src|href)=", html)
-
-
-@pytest.mark.slow
-def test_stale_can_be_allowed(original, tmp_path):
-    write_config(synthetic_chain.config(sample={"frames": 5, "test_fraction": 0.2}), tmp_path / "c")
-    words = ["audit", str(original), "--config", str(tmp_path / "c")]
-    assert main(words) == 1
-    assert main([*words, "--allow-stale"]) == 0
-
-
-def test_outcome_is_not_written_into_the_release(original, capsys):
-    assert main(["audit", str(original), "--json", str(original / "audit.json")]) == 2
-    assert "inside the release" in capsys.readouterr().err
-    assert not (original / "audit.json").exists()
 
 
 def test_story_of_a_clip_names_every_link(original, capsys):
@@ -650,47 +648,34 @@ def test_story_of_a_clip_names_every_link(original, capsys):
     assert "no clip 'm99'; ids look like m" in capsys.readouterr().err
 
 
-def test_story_says_where_the_chain_breaks(forger, release, capsys):
-    forger.edit_records("render/m05_f0300_r00_v00.parquet", lambda one: one.update(sha256="0" * 64))
-    main(["audit", str(release), "--explain", CLIP])
-    assert "results/render/m05_f0300_r00_v00.parquet (DIFFERENT from the next)" in (
-        capsys.readouterr().out
-    )
-
-
-def test_story_states_the_digest_of_other_pixels(forger, release, capsys):
-    decoded = []
+def test_story_says_where_the_chain_breaks_and_the_digest_of_other_pixels(forger, release, capsys):
+    forger.edit_records(RENDER, lambda one: one.update(sha256="0" * 64))
+    decoded = row_of(release, CLIP)["pixels_sha256"]
 
     def edit(rows):
-        row = next(row for row in rows if row["video"] == CLIP)
-        decoded.append(row["pixels_sha256"])
-        row["pixels_sha256"] = "0" * 64
+        next(row for row in rows if row["video"] == CLIP)["pixels_sha256"] = "0" * 64
 
     forger.edit_rows("manifest.parquet", edit)
     main(["audit", str(release), "--explain", CLIP])
-    assert f"NOT equal to the decoded pixels ({decoded[0]})" in capsys.readouterr().out
+    story = capsys.readouterr().out
+    assert f"results/{RENDER} (DIFFERENT from the next)" in story
+    assert f"NOT equal to the decoded pixels ({decoded})" in story
 
 
 def test_comparison_of_a_rebuilt_clip_says_by_how_much_it_differs():
     first = np.zeros((3, 8, 8, 3), np.uint8)
     second = first.copy()
     same = rebuild.compare("a", first, second, True)
-    assert same.same_pixels and same.psnr_db is None
+    assert same.same and same.psnr_db is None
+    told = rebuild.compare("a", first, second, True, ("solver of results/simulate/a.parquet",))
+    assert not told.same
+    assert "TELL OTHERWISE: solver of results/simulate/a.parquet" in rebuild.in_words(told)
     second[1, 2, 3, 0] = 200
     other = rebuild.compare("a", first, second, True)
     assert not other.same_pixels
     assert (other.images_differing, other.largest_difference) == (1, 200)
     expected = 10 * np.log10(255**2 / (200**2 / first.size))
     assert other.psnr_db == pytest.approx(expected, abs=0.01)
-
-
-def test_rebuilt_clip_whose_records_tell_otherwise_is_not_the_same():
-    pixels = np.zeros((3, 8, 8, 3), np.uint8)
-    same = rebuild.compare("a", pixels, pixels, True)
-    told = ("solver of results/simulate/a.parquet",)
-    other = rebuild.compare("a", pixels, pixels, True, told)
-    assert same.same and not other.same
-    assert "TELL OTHERWISE: solver of results/simulate/a.parquet" in rebuild.in_words(other)
 
 
 def test_a_law_that_lay_elsewhere_is_no_difference_of_a_simulation_made_again(tmp_path):

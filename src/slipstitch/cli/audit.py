@@ -65,7 +65,8 @@ def audit(arguments: Arguments) -> int:
     elif arguments.rebuild:
         refuse(arguments, ignored, "--rebuild")
     for path in (arguments.json, arguments.page):
-        if path and not _is_stdout(path) and _inside(path, arguments.release):
+        inside = path and path.resolve().is_relative_to(arguments.release.resolve())
+        if inside and not _is_stdout(path):
             raise BadInput(
                 f"{path}: is inside the release, where it would be an unknown file; "
                 "choose another folder"
@@ -87,31 +88,28 @@ def audit(arguments: Arguments) -> int:
     return _audit(arguments)
 
 
-def _inside(path: Path, folder: Path) -> bool:
-    return path.resolve().is_relative_to(folder.resolve())
-
-
 def _is_stdout(path: Path | None) -> bool:
     return path == Path("-")
 
 
-def _write(text: str, path: Path | None) -> None:
-    from slipstitch.base.provenance import write_text
+def _tell(arguments: Arguments, content: dict, text: str) -> None:
+    """Print the text, or its content as JSON; write that where it is wanted."""
+    from slipstitch.base.provenance import write_json
 
-    if _is_stdout(path):
-        print(text)
-    elif path is not None:
-        write_text(path, text + "\n")
+    if _is_stdout(arguments.json):
+        print(json.dumps(content, indent=1))
+        return
+    if arguments.json is not None:
+        write_json(arguments.json, content, allow_nan=True)
+    print(text)
 
 
 def _rebuild(arguments: Arguments) -> int:
     from slipstitch.dataset.audit.contents import read_contents
-    from slipstitch.dataset.audit.rebuild import as_json, in_words, rebuild
+    from slipstitch.dataset.audit.rebuild import in_words, rebuild
 
     done = rebuild(read_contents(arguments.release), arguments.rebuild)
-    _write(as_json(done), arguments.json)
-    if not _is_stdout(arguments.json):
-        print(in_words(done))
+    _tell(arguments, vars(done), in_words(done))
     return 0 if done.same else 1
 
 
@@ -123,9 +121,7 @@ def _published(arguments: Arguments) -> int:
 
     shipped = file_digest(SHIPPED / "instrument.safetensors")
     audit = audit_published(arguments.release, shipped, recomputed)
-    _write(json.dumps(audit.as_json(), indent=1), arguments.json)
-    if not _is_stdout(arguments.json):
-        print(audit.as_text())
+    _tell(arguments, audit.as_json(), audit.as_text())
     return 1 if audit.findings else 0
 
 
@@ -137,10 +133,8 @@ def _audit(arguments: Arguments) -> int:
     audit = audit_release(
         arguments.release, config, arguments.expect, arguments.jobs, arguments.verify
     )
-    _write(json.dumps(audit.as_json(), indent=1), arguments.json)
+    _tell(arguments, audit.as_json(), as_text(audit))
     if arguments.page:
         write_page(audit, arguments.page)
-    if not _is_stdout(arguments.json):
-        print(as_text(audit))
     good = {"intact", "stale"} if arguments.allow_stale else {"intact"}
     return 0 if audit.verdict in good else 1

@@ -10,10 +10,11 @@ from slipstitch.base.errors import BadInput
 from slipstitch.base.page.wording import shortened
 from slipstitch.base.project import PACKAGE
 from slipstitch.config import Config
+from slipstitch.config.catalogue import FABRICS_FILE
 from slipstitch.dataset.audit.admission import limited_memory
-from slipstitch.dataset.audit.contents import Contents, Lineage, read_contents
+from slipstitch.dataset.audit.contents import Contents, read_contents
 from slipstitch.dataset.audit.files import check_files, read_shard
-from slipstitch.dataset.audit.findings import NO_FORGER, Audit, Finding, Kind, sorted_findings
+from slipstitch.dataset.audit.findings import NO_FORGER, Audit, Kind, sorted_findings
 from slipstitch.dataset.audit.lineage_check import check_lineage
 from slipstitch.dataset.audit.staleness import check_commits, check_staleness
 from slipstitch.dataset.release.checksums import SIGNATURE, SUMS, verify
@@ -26,6 +27,8 @@ from slipstitch.dataset.release.records import (
     is_ours,
     record_file,
 )
+
+_NO_LABELS = ("video", "pixels_sha256", "shard", "first_row", "frames", "pixels")
 
 
 def find_clip(contents: Contents, clip: str) -> dict[str, Any]:
@@ -40,14 +43,13 @@ def find_clip(contents: Contents, clip: str) -> dict[str, Any]:
 def explain(contents: Contents, clip: str) -> str:
     """The story as lines; BadInput if the release has no such clip."""
     row = find_clip(contents, clip)
-    lineage = Lineage(contents)
     lines = [f"{clip}, a clip of {contents.name}", *_clip(contents, row)]
-    for path in lineage.behind(row):
-        artefact = lineage.artefacts.get(path)
+    for path in contents.behind(row):
+        artefact = contents.artefacts.get(path)
         if artefact is None:
             lines += ["", f"{path}: NO RECORD, the chain is broken here"]
         else:
-            lines += ["", *_artefact(contents, lineage, artefact, row)]
+            lines += ["", *_artefact(contents, artefact, row)]
     lines += ["", *_fabric(contents, row)]
     return "\n".join(lines)
 
@@ -61,17 +63,12 @@ def _clip(contents: Contents, row: Mapping[str, Any]) -> list[str]:
         same = found == row["pixels_sha256"]
         pixels = f"{'equal' if same else 'NOT equal'} to the decoded pixels"
         pixels += "" if same else f" ({found})"
-    known = {"video", "pixels_sha256", "shard", "first_row", "frames", "pixels"}
-    labels = [
-        f"{name} {value}"
-        for name, value in row.items()
-        if name not in known and not name.startswith((PREFIX, "sampled_"))
-    ]
-    sides = [
-        f"{name.removeprefix(PREFIX)}: {value or 'not used'}"
-        for name, value in row.items()
-        if name.startswith(PREFIX)
-    ]
+    labels, sides = [], []
+    for name, value in row.items():
+        if name.startswith(PREFIX):
+            sides.append(f"{name.removeprefix(PREFIX)}: {value or 'not used'}")
+        elif name not in _NO_LABELS and not name.startswith("sampled_"):
+            labels.append(f"{name} {value}")
     last = row["first_row"] + row["frames"] - 1
     return [
         f"  images   {row['frames']} of {row['pixels']} px, {row['shard']} rows {row['first_row']} "
@@ -82,7 +79,7 @@ def _clip(contents: Contents, row: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _artefact(contents: Contents, lineage: Lineage, artefact: Artefact, row: Mapping) -> list[str]:
+def _artefact(contents: Contents, artefact: Artefact, row: Mapping) -> list[str]:
     record = artefact.provenance
     lines = [
         artefact.path,
@@ -106,42 +103,34 @@ def _artefact(contents: Contents, lineage: Lineage, artefact: Artefact, row: Map
         f"  seed     {record.get('seed')}",
         f"  config   {_short(record['config'])}",
     ]
-    lines += [f"  says     {line}" for line in _says(contents, artefact)]
-    for name in lineage.inputs(artefact.path, row.get("viewpoint_id")):
-        behind = lineage.artefacts.get(name)
-        link = "NO RECORD"
-        if behind is not None:
-            link = (
-                "the next" if behind.sha256 == artefact.inputs[name] else "DIFFERENT from the next"
-            )
-        lines.append(f"  from     {name} ({link})")
-    return lines
-
-
-def _says(contents: Contents, artefact: Artefact) -> list[str]:
-    """Description of an artefact in a few lines."""
-    lines = [
-        f"{name}: {_short(value)}"
+    lines += [
+        f"  says     {name}: {_short(value)}"
         for name, value in artefact.metadata.items()
         if name not in ("settings", "camera")
     ]
     if PurePosixPath(artefact.path).name == CALIBRATION:  # not the sweeps that it was chosen from
-        lines += _checks(contents, artefact)
+        lines.append(f"  says     {_checks(contents, artefact)}")
+    for name in contents.inputs(artefact.path, row.get("viewpoint_id")):
+        link, behind = "NO RECORD", contents.artefacts.get(name)
+        if behind is not None:
+            same = behind.sha256 == artefact.inputs[name]
+            link = "the next" if same else "DIFFERENT from the next"
+        lines.append(f"  from     {name} ({link})")
     return lines
 
 
-def _checks(contents: Contents, artefact: Artefact) -> list[str]:
+def _checks(contents: Contents, artefact: Artefact) -> str:
     try:
         path = contents.folder / carried_file(artefact.path)
         checks = json.loads(path.read_text(encoding="utf-8"))["checks"]
         worst = max(checks, key=lambda check: check["error"] / (check["demand"] or 1.0))
     except (OSError, ValueError, KeyError, TypeError):
-        return ["checks: unreadable"]
-    return [
+        return "checks: unreadable"
+    return (
         f"{sum(check['met'] for check in checks)} of {len(checks)} checks against theory met; "
         f"the closest to its limit: {worst['name']}, error {worst['error']:.2e} of "
         f"{worst['demand']:.2e} allowed"
-    ]
+    )
 
 
 def _short(value: Any) -> str:
@@ -151,8 +140,6 @@ def _short(value: Any) -> str:
 
 def _fabric(contents: Contents, row: Mapping[str, Any]) -> list[str]:
     """The measured fabric, as the carried sources have it, against today's."""
-    from slipstitch.config.catalogue import FABRICS_FILE
-
     name = row["material"]
     carried = f"code/src/slipstitch/config/{FABRICS_FILE.name}"
     try:
@@ -197,26 +184,21 @@ def _audit(
 ) -> Audit:
     wall, cpu = time.perf_counter(), time.process_time()
     contents = read_contents(folder)
-    every = tuple(contents.clips)
-    findings, notes = list(contents.findings), []
     if expected is not None and contents.sums_sha256 != expected.lower():
         what = f"is {contents.sums_sha256}, not the expected {expected.lower()}: another release"
-        findings.append(Finding(Kind.ALTERED, SUMS, what, every))
+        contents.find(Kind.ALTERED, SUMS, what, contents.clips)
     if signers is not None:
         signer, problem = verify(folder, signers)
         if problem is not None:
-            findings.append(Finding(Kind.ALTERED, SIGNATURE, problem, every))
+            contents.find(Kind.ALTERED, SIGNATURE, problem, contents.clips)
         else:
-            notes.append(f"signed by {signer}")
+            contents.remarks.append(f"signed by {signer}")
     elif expected is None:
-        notes.append(NO_FORGER)
-    of_files, others, numbers, shards = check_files(contents, jobs)
-    notes += others
-    parts = [check_lineage(contents, shards), check_commits(contents, PACKAGE.parents[1])]
-    findings += [*of_files, *check_staleness(contents, config)]
-    for found, noted in parts:
-        findings += found
-        notes += noted
+        contents.remarks.append(NO_FORGER)
+    numbers, shards = check_files(contents, jobs)
+    check_staleness(contents, config)
+    check_lineage(contents, shards)
+    check_commits(contents, PACKAGE.parents[1])
     cost = {
         "clips": len(contents.clips),
         "wall_s": round(time.perf_counter() - wall, 2),
@@ -226,7 +208,7 @@ def _audit(
         release=contents.name,
         sums_sha256=contents.sums_sha256,
         numbers=numbers | cost,
-        findings=sorted_findings(findings),
-        notes=notes,
+        findings=sorted_findings(contents.findings),
+        notes=contents.remarks,
         clips=contents.clips,
     )

@@ -1,11 +1,11 @@
-"""The contents of a release, read as far as possible, and the lineage of its clips."""
+"""The contents of a release, read as far as possible; what its clips come from; what is found."""
 
 import contextlib
 import hashlib
 import json
 import os
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -38,16 +38,38 @@ from slipstitch.dataset.release.records import (
     VERIFICATION,
     Artefact,
     carried_file,
+    is_ours,
     read_record,
     record_file,
 )
 
+SAMPLED_MANIFEST = f"results/sample/{MANIFEST}"
 FRAMES_MAX = 1_000_000
+NEEDED_COLUMNS = {
+    "video": pa.string(),
+    "simulation": pa.string(),
+    "material": pa.string(),
+    "friction": pa.float64(),
+    "frames": pa.int32(),
+    "pixels_sha256": pa.string(),
+    "sampled_file": pa.string(),
+    "shard": pa.string(),
+    "first_row": pa.int64(),
+    "part": pa.string(),
+}
+_OF_AN_INSTRUMENT = (
+    "; the chain from the instrument that comes with Slipstitch to its simulations is in "
+    "results/published/instrument of the repository: audit that folder"
+)
 
 
 @dataclass
 class Contents:
-    """A release in a folder; what cannot be read is empty here and a finding there."""
+    """A release in a folder, and what is found of it.
+
+    What cannot be read is empty here and a finding. `notes` is what the manifest says of itself,
+    `remarks` what could not be compared, or is no damage.
+    """
 
     folder: Path
     sums: dict[str, str]
@@ -55,19 +77,28 @@ class Contents:
     notes: dict[str, Any] = field(default_factory=dict)
     artefacts: dict[str, Artefact] = field(default_factory=dict)
     release: dict[str, Any] = field(default_factory=dict)
-    schema: pa.Schema | None = None
     config: Config | None = None
     findings: list[Finding] = field(default_factory=list)
+    remarks: list[str] = field(default_factory=list)
+    _chains: dict[tuple[str, str | None], tuple[str, ...]] = field(default_factory=dict)
 
-    @cached_property
-    def clips(self) -> list[str]:
-        """Ids of all videos."""
-        return [row["video"] for row in self.rows]
+    def find(self, kind: Kind, where: str, what: str, clips: Iterable[str] = ()) -> None:
+        """Note a finding; arguments as of `Finding`."""
+        self.findings.append(Finding(kind, where, what, tuple(clips)))
+
+    def broken(self, where: str, what: str, clips: Iterable[str] = ()) -> None:
+        """Note that the chain of the clips is broken."""
+        self.find(Kind.BROKEN, where, what, clips)
 
     @cached_property
     def row_of(self) -> dict[str, dict[str, Any]]:
         """Video -> its row of the manifest."""
         return {row["video"]: row for row in self.rows}
+
+    @cached_property
+    def clips(self) -> list[str]:
+        """Ids of all videos."""
+        return list(self.row_of)
 
     @cached_property
     def calibrated(self) -> dict[str, dict[str, Any]]:
@@ -93,25 +124,58 @@ class Contents:
         """SHA-256 of ``SHA256SUMS``."""
         return hashlib.sha256((self.folder / SUMS).read_bytes()).hexdigest()
 
+    def made(self) -> Iterator[Artefact]:
+        """The artefacts that stages wrote."""
+        return (one for path, one in self.artefacts.items() if is_ours(path) and one.provenance)
 
-NEEDED_COLUMNS = {
-    "video": pa.string(),
-    "simulation": pa.string(),
-    "material": pa.string(),
-    "friction": pa.float64(),
-    "frames": pa.int32(),
-    "pixels_sha256": pa.string(),
-    "sampled_file": pa.string(),
-    "shard": pa.string(),
-    "first_row": pa.int64(),
-    "part": pa.string(),
-}
+    def inputs(self, path: str, viewpoint: str | None) -> list[str]:
+        """Paths of what `path` was made from, as far as a clip of `viewpoint` is concerned."""
+        artefact = self.artefacts.get(path)
+        wanted = []
+        for name in artefact.inputs if artefact else ():
+            behind = self.artefacts.get(name)
+            of_view = behind.metadata.get("viewpoint") if behind else None
+            other = isinstance(of_view, dict) and of_view.get("id") not in (None, viewpoint)
+            if viewpoint is None or not other:
+                wanted.append(name)
+        return wanted
 
+    def behind(self, row: Mapping[str, Any]) -> tuple[str, ...]:
+        """Artefacts behind a clip, the nearest first; also those that have no record."""
+        start, viewpoint = f"results/sample/{row['sampled_file']}", row.get("viewpoint_id")
+        if (start, viewpoint) not in self._chains:
+            found = [start]
+            for path in found:  # grows
+                found += [name for name in self.inputs(path, viewpoint) if name not in found]
+            self._chains[start, viewpoint] = tuple(found)
+        return self._chains[start, viewpoint]
 
-_OF_AN_INSTRUMENT = (
-    "; the chain from the instrument that comes with Slipstitch to its simulations is in "
-    "results/published/instrument of the repository: audit that folder"
-)
+    def of_stage(self, row: Mapping[str, Any], stage: str) -> list[Artefact]:
+        """Records of one stage behind a clip."""
+        records = (self.artefacts.get(path) for path in self.behind(row))
+        return [record for record in records if record is not None and record.stage == stage]
+
+    @cached_property
+    def _clips_of(self) -> dict[str, tuple[str, ...]]:
+        """Artefact, or file of the release -> clips that come from it."""
+        found: dict[str, list[str]] = defaultdict(list)
+        shards: dict[str, list[str]] = defaultdict(list)
+        for row in self.rows:
+            shards[row["shard"]].append(row["video"])
+            for path in self.behind(row):
+                found[path].append(row["video"])
+        known = {*self.artefacts, *found}
+        found |= dict.fromkeys((SAMPLED_MANIFEST, VERIFICATION), self.clips)
+        for path in known:
+            found[record_file(path)] = found[carried_file(path)] = found[path]
+        return {path: tuple(clips) for path, clips in (shards | found).items()}
+
+    def clips_of(self, name: str) -> tuple[str, ...]:
+        """Clips that come from an artefact, or that a file of the release is about.
+
+        Manifest and verification concern all.
+        """
+        return self._clips_of.get(name, ())
 
 
 def read_contents(folder: Path) -> Contents:
@@ -126,46 +190,41 @@ def read_contents(folder: Path) -> Contents:
         check_entries(folder)
         check_nesting(folder)
     contents = Contents(folder, dict(read_sums(folder)))
-    for name in (MANIFEST, RELEASE_RECORD, CONFIG):
+    readers = {MANIFEST: _read_manifest, RELEASE_RECORD: _read_release, CONFIG: _read_config}
+    for name in readers:
         if name not in contents.sums:
             hint = _OF_AN_INSTRUMENT if "instrument.safetensors" in contents.sums else ""
             raise BadInput(f"{folder}: not a release of Slipstitch: {SUMS} names no {name}{hint}")
-    _read(contents, MANIFEST, _read_manifest)
-    _read(contents, RELEASE_RECORD, _read_release)
-    _read(contents, CONFIG, _read_config)
     for name in sorted(contents.sums):
         if name.startswith(f"{RECORDS}/") and name.endswith(RECORD_SUFFIX):
-            _read(contents, name, _read_artefact)
+            readers[name] = _read_artefact
+    for name, read in readers.items():
+        if (folder / name).is_file():  # else the files' own check says so
+            _read(contents, name, read)
     return contents
 
 
 def _read(contents: Contents, name: str, read) -> None:
     """Call `read`; what goes wrong becomes a finding."""
-    if not (contents.folder / name).is_file():
-        return  # the files' own check says so
     try:
         read(contents, contents.folder / name)
     except BadInput as error:
         if isinstance(error, Harmful) and contents.as_listed(name):
             raise
-        what = str(error).removeprefix(f"{contents.folder}/")
-        contents.findings.append(Finding(Kind.BROKEN, name, what))
+        contents.broken(name, str(error).removeprefix(f"{contents.folder}/"))
     except RecursionError:
         raise BadInput(f"{contents.folder / name}: nested too deeply; not read") from None
     except UNUSABLE as error:
-        what = f"cannot be read: {first_line(error)}"
-        contents.findings.append(Finding(Kind.BROKEN, name, what))
+        contents.broken(name, f"cannot be read: {first_line(error)}")
 
 
 def _read_manifest(contents: Contents, path: Path) -> None:
-    odd = check_parquet(path, images=False)
-    if odd:
-        contents.findings.append(Finding(Kind.BROKEN, MANIFEST, odd))
+    if odd := check_parquet(path, images=False):
+        contents.broken(MANIFEST, odd)
     schema = pq.read_schema(path)
     for column, kind in NEEDED_COLUMNS.items():
         if column not in schema.names or schema.field(column).type != kind:
             raise ValueError(f"no column {column!r} of type {kind}")
-    contents.schema = schema
     contents.notes = read_metadata(schema)
     table = pq.read_table(path, read_dictionary=text_columns(path))
     short_texts(table, path)
@@ -192,86 +251,6 @@ def _read_config(contents: Contents, path: Path) -> None:
 
 def _read_artefact(contents: Contents, path: Path) -> None:
     artefact = read_record(path)
-    name = path.relative_to(contents.folder).as_posix()
-    if record_file(artefact.path) != name:
+    if record_file(artefact.path) != path.relative_to(contents.folder).as_posix():
         raise ValueError(f"the record is of {artefact.path}")
     contents.artefacts[artefact.path] = artefact
-
-
-SAMPLED_MANIFEST = f"results/sample/{MANIFEST}"
-
-
-class Lineage:
-    """The records of a release and what each clip comes from."""
-
-    def __init__(self, contents: Contents):
-        self.contents = contents
-        self.artefacts = contents.artefacts
-        self._behind: dict[tuple[str, str | None], tuple[str, ...]] = {}
-
-    def inputs(self, path: str, viewpoint: str | None) -> list[str]:
-        """Paths of what `path` was made from, as far as a clip of `viewpoint` is concerned."""
-        artefact = self.artefacts.get(path)
-        wanted = []
-        for name in artefact.inputs if artefact else ():
-            behind = self.artefacts.get(name)
-            of_view = behind.metadata.get("viewpoint") if behind else None
-            other = isinstance(of_view, dict) and of_view.get("id") not in (None, viewpoint)
-            if viewpoint is None or not other:
-                wanted.append(name)
-        return wanted
-
-    def behind(self, row: Mapping[str, Any]) -> tuple[str, ...]:
-        """Artefacts behind a clip, the nearest first; also those that have no record."""
-        start = f"results/sample/{row['sampled_file']}"
-        key = start, row.get("viewpoint_id")
-        if key not in self._behind:
-            found: dict[str, None] = {}
-            waiting = [start]
-            while waiting:
-                path = waiting.pop(0)
-                if path not in found:
-                    found[path] = None
-                    waiting += self.inputs(path, key[1])
-            self._behind[key] = tuple(found)
-        return self._behind[key]
-
-    def of_stage(self, row: Mapping[str, Any], stage: str) -> list[Artefact]:
-        """Records of one stage behind a clip."""
-        records = (self.artefacts.get(path) for path in self.behind(row))
-        return [record for record in records if record is not None and record.stage == stage]
-
-    @cached_property
-    def clips_after(self) -> dict[str, tuple[str, ...]]:
-        """Artefact -> clips that were made from it."""
-        found: dict[str, list[str]] = defaultdict(list)
-        for row in self.contents.rows:
-            for path in self.behind(row):
-                found[path].append(row["video"])
-        return {path: tuple(clips) for path, clips in found.items()}
-
-    def clips(self, path: str) -> tuple[str, ...]:
-        """Clips that were made from the artefact; manifest and verification concern all."""
-        if path in (SAMPLED_MANIFEST, VERIFICATION):
-            return tuple(self.contents.clips)
-        return self.clips_after.get(path, ())
-
-    @cached_property
-    def _carried(self) -> dict[str, str]:
-        """Path of an artefact in a release -> the artefact."""
-        known = {*self.artefacts, *self.clips_after}
-        records = {record_file(path): path for path in known}
-        return records | {carried_file(path): path for path in known}
-
-    def clips_of_file(self, name: str) -> tuple[str, ...]:
-        """Clips that a file of the release is about: their images, or a record behind them."""
-        if artefact := self._carried.get(name):
-            return self.clips(artefact)
-        return self._in_shard.get(name, ())
-
-    @cached_property
-    def _in_shard(self) -> dict[str, tuple[str, ...]]:
-        found: dict[str, list[str]] = defaultdict(list)
-        for row in self.contents.rows:
-            found[row["shard"]].append(row["video"])
-        return {shard: tuple(clips) for shard, clips in found.items()}

@@ -21,8 +21,8 @@ from slipstitch.dataset.audit.admission import (
     short_texts,
     text_columns,
 )
-from slipstitch.dataset.audit.contents import Contents, Lineage
-from slipstitch.dataset.audit.findings import Finding, Kind, not_part
+from slipstitch.dataset.audit.contents import Contents
+from slipstitch.dataset.audit.findings import Kind, not_part
 from slipstitch.dataset.images import DATASET_SCHEMA, decode
 from slipstitch.dataset.release.checksums import files_below
 from slipstitch.dataset.release.shards import FOLDER, shard_schema
@@ -121,16 +121,11 @@ def admit_shards(contents: Contents) -> dict[str, str]:
     return problems
 
 
-def check_files(
-    contents: Contents, jobs: int
-) -> tuple[list[Finding], list[str], dict[str, int], dict[str, Shard]]:
-    """Hash every file and decode every shard.
+def check_files(contents: Contents, jobs: int) -> tuple[dict[str, int], dict[str, Shard]]:
+    """Hash every file and decode every shard; remark files that are not part of the release.
 
     Returns
     -------
-    findings : list of Finding
-    notes : list of str
-        Files that are not part of the release.
     numbers : dict
         ``files, bytes, images`` that were looked at.
     shards : dict
@@ -138,9 +133,8 @@ def check_files(
     """
     folder, sums = contents.folder, contents.sums
     unreadable = admit_shards(contents)
-    lineage = Lineage(contents)
     there = files_below(folder)
-    findings, notes = _listing(lineage, there)
+    _check_listing(contents, there)
     present = [name for name in there if name in sums]
     # The largest first, so that no thread is left with one at the end.
     order = sorted(present, key=lambda name: -os.path.getsize(folder / name))
@@ -162,95 +156,74 @@ def check_files(
     stated = contents.release.get("files", {})
     for name in present:
         if digests[name] != sums[name]:
-            findings.append(_altered(lineage, name, digests[name], owner, decoded.get(name)))
+            _altered(contents, name, owner.get(digests[name]), decoded.get(name))
         elif name in stated and stated[name] != digests[name]:
             what = "SHA256SUMS was rewritten: its digest differs from records/release.json"
-            findings.append(Finding(Kind.ALTERED, name, what, lineage.clips_of_file(name)))
+            contents.find(Kind.ALTERED, name, what, contents.clips_of(name))
         if name in decoded and contents.rows:
-            findings += _check_shard(lineage, name, decoded[name], digests[name] == sums[name])
+            _check_shard(contents, name, decoded[name], digests[name] == sums[name])
     numbers = {
         "files": len(present),
         "bytes": sum(os.path.getsize(folder / name) for name in present),
         "images": sum(shard.images for shard in decoded.values()),
     }
-    return findings, notes, numbers, decoded
+    return numbers, decoded
 
 
-def _listing(lineage: Lineage, there: list[str]) -> tuple[list[Finding], list[str]]:
-    """Files that are missing, and those that are not part of the release."""
-    sums = lineage.contents.sums
-    findings = [
-        Finding(Kind.MISSING, name, "is missing", lineage.clips_of_file(name))
-        for name in sums
-        if name not in set(there)
-    ]
-    findings += [
-        Finding(Kind.MISSING, name, "listed in the manifest, but not in SHA256SUMS", clips)
-        for name in sorted({row["shard"] for row in lineage.contents.rows} - set(sums))
-        if (clips := lineage.clips_of_file(name))
-    ]
+def _check_listing(contents: Contents, there: list[str]) -> None:
+    """Note files that are missing, and those that are not part of the release."""
+    sums = contents.sums
+    for name in sums.keys() - set(there):
+        contents.find(Kind.MISSING, name, "is missing", contents.clips_of(name))
+    for name in {row["shard"] for row in contents.rows} - set(sums):
+        what = "listed in the manifest, but not in SHA256SUMS"
+        contents.find(Kind.MISSING, name, what, contents.clips_of(name))
     others = [name for name in there if name not in sums]
     for name in others:
         if name.startswith(f"{FOLDER}/") and name.endswith(".parquet"):
             what = "not listed in SHA256SUMS, but loaded with the other shards"
-            findings.append(Finding(Kind.UNEXPLAINED, name, what))
-    return findings, [not_part("the release", others)] if others else []
+            contents.find(Kind.UNEXPLAINED, name, what)
+    contents.remarks += [not_part("the release", others)] if others else []
 
 
-def _altered(
-    lineage: Lineage, name: str, digest: str, owner: dict[str, str], shard: Shard | None
-) -> Finding:
-    """A file whose bytes are others than the sums say, and what that means for its clips."""
-    what, contents = "content differs from SHA256SUMS", lineage.contents
-    clips = lineage.clips_of_file(name)
-    if digest in owner:
-        return Finding(Kind.ALTERED, name, f"has the content of {owner[digest]}", clips)
-    if shard is not None and shard.problem is None and contents.rows:
-        changed = tuple(
-            clip
-            for clip in clips
-            if shard.pixels.get(clip) != contents.row_of[clip]["pixels_sha256"]
-        )
-        if not changed:
-            return Finding(Kind.ALTERED, name, f"{what}; the pixels of its clips do not", ())
-        clips = changed
-    return Finding(Kind.ALTERED, name, what, clips)
+def _altered(contents: Contents, name: str, owner: str | None, shard: Shard | None) -> None:
+    """Note a file whose bytes are others than the sums say, and what that means for its clips."""
+    what, clips = "content differs from SHA256SUMS", contents.clips_of(name)
+    if owner is not None:
+        what = f"has the content of {owner}"
+    elif shard is not None and shard.problem is None and contents.rows:
+        own = {clip: contents.row_of[clip]["pixels_sha256"] for clip in clips}
+        clips = tuple(clip for clip in clips if shard.pixels.get(clip) != own[clip])
+        what += "" if clips else "; the pixels of its clips do not"
+    contents.find(Kind.ALTERED, name, what, clips)
 
 
-def _check_shard(lineage: Lineage, name: str, shard: Shard, same_bytes: bool) -> list[Finding]:
-    """Pixels, places and labels of a shard against the manifest."""
+def _check_shard(contents: Contents, name: str, shard: Shard, same_bytes: bool) -> None:
+    """Compare pixels, places and labels of a shard with the manifest."""
+    clips = contents.clips_of(name)
     if shard.problem is not None:
-        what = f"cannot be read: {shard.problem}"
-        return [Finding(Kind.ALTERED, name, what, lineage.clips_of_file(name))]
-    findings = []
+        contents.find(Kind.ALTERED, name, f"cannot be read: {shard.problem}", clips)
+        return
     if shard.odd is not None:
-        findings.append(Finding(Kind.BROKEN, name, shard.odd, lineage.clips_of_file(name)))
-    row_of = lineage.contents.row_of
-    expected = {video: row_of[video] for video in lineage.clips_of_file(name)}
-    strangers = tuple(video for video in shard.pixels if video not in expected)
-    if strangers:
-        what = (
-            f"contains images of {strangers[0]}, which according to the manifest are in another "
-            "shard or do not exist"
-        )
-        findings.append(Finding(Kind.BROKEN, name, what))
-    for video, row in expected.items():
-        found = shard.pixels.get(video)
+        contents.broken(name, shard.odd, clips)
+    known = set(clips)
+    if strangers := [video for video in shard.pixels if video not in known]:
+        what = "which according to the manifest are in another shard or do not exist"
+        contents.broken(name, f"contains images of {strangers[0]}, {what}")
+    for video in clips:
+        row, found = contents.row_of[video], shard.pixels.get(video)
         if found is None:
-            findings.append(Finding(Kind.BROKEN, name, f"contains no image of {video}", (video,)))
+            contents.broken(name, f"contains no image of {video}", [video])
             continue
         if video in shard.flaws:
-            what = f"{video}: {shard.flaws[video]}"
-            findings.append(Finding(Kind.ALTERED, name, what, (video,)))
+            contents.find(Kind.ALTERED, name, f"{video}: {shard.flaws[video]}", [video])
         elif found != row["pixels_sha256"]:
             what = f"the decoded pixels of {video} do not match the manifest"
-            findings.append(Finding(Kind.ALTERED, name, what, (video,)))
-        problem = _labels(row, shard)
-        if problem:
+            contents.find(Kind.ALTERED, name, what, [video])
+        if problem := _labels(row, shard):
             # An edit of the bytes is the alteration; with the sums rewritten the chain tells.
             kind = Kind.BROKEN if same_bytes else Kind.ALTERED
-            findings.append(Finding(kind, name, f"{video}: {problem}", (video,)))
-    return findings
+            contents.find(kind, name, f"{video}: {problem}", [video])
 
 
 def _labels(row: dict[str, Any], shard: Shard) -> str | None:
@@ -258,10 +231,9 @@ def _labels(row: dict[str, Any], shard: Shard) -> str | None:
     video = row["video"]
     columns = shard.columns[video]
     for there, here in SHARED.items():
-        if there in row and here in columns:
-            other = next((value for value in columns[here] if value != row[there]), None)
-            if other is not None:
-                return f"{here} is {other!r} here, {row[there]!r} in the manifest"
+        for value in columns.get(here, ()) if there in row else ():
+            if value != row[there] and value is not None:
+                return f"{here} is {value!r} here, {row[there]!r} in the manifest"
     if shard.first_row[video] != row["first_row"]:
         return f"starts in row {shard.first_row[video]}, not {row['first_row']}"
     if columns.get("position") != list(range(row["frames"])):

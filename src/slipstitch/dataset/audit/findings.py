@@ -83,7 +83,7 @@ class Audit:
 
     def of_kind(self, kind: Kind) -> list[Finding]:
         """Findings of one sort."""
-        return [finding for finding in self.findings if finding.kind is kind]
+        return [one for one in self.findings if one.kind is kind]
 
     def clip_kinds(self) -> dict[str, list[str]]:
         """Clip -> sorts of what was found of it; empty for an intact one."""
@@ -121,9 +121,7 @@ def sorted_findings(findings: Iterable[Finding]) -> list[Finding]:
 
 def in_words(clips: Sequence[str], all_clips: int) -> str:
     """A short list of the clips."""
-    if not clips:
-        return ""
-    if len(clips) == all_clips:
+    if clips and len(clips) == all_clips:
         return f"all {all_clips} clips"
     named = ", ".join(clips[:3])
     return f"{named} and {len(clips) - 3} more" if len(clips) > 3 else named

@@ -6,7 +6,7 @@ are recomputed. Both find what went wrong or was changed carelessly; only a sign
 release whose records were all rewritten to agree.
 """
 
-from collections.abc import Collection, Iterable, Iterator, Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +16,8 @@ from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import file_digest
 from slipstitch.config import Config
 from slipstitch.config.catalogue import FABRICS_FILE
-from slipstitch.dataset.audit.contents import SAMPLED_MANIFEST, Contents, Lineage
+from slipstitch.dataset.audit.contents import SAMPLED_MANIFEST, Contents
 from slipstitch.dataset.audit.files import Shard
-from slipstitch.dataset.audit.findings import Finding, Kind
 from slipstitch.dataset.manifest import dataset_digest, video_labels
 from slipstitch.dataset.release.currency import (
     PACKAGE_SOURCES,
@@ -45,46 +44,41 @@ from slipstitch.physics.fabric import fabric_digest
 _STAGE_TOLERANCE_M = 1e-9
 
 
-def check_lineage(
-    contents: Contents, shards: Mapping[str, Shard]
-) -> tuple[list[Finding], list[str]]:
-    """Follow every clip.
-
-    Returns
-    -------
-    findings : list of Finding
-        All of kind BROKEN.
-    notes : list of str
-        Comparisons that could not be made, and why.
-    """
+def check_lineage(contents: Contents, shards: Mapping[str, Shard]) -> None:
+    """Follow every clip, and remark comparisons that cannot be made."""
     if not contents.rows:
-        return [Finding(Kind.BROKEN, MANIFEST, "no clip can be traced without it")], []
-    lineage = Lineage(contents)
-    findings = [*_links(lineage), *_sampled(lineage), *_release_record(contents)]
-    notes = []
+        contents.broken(MANIFEST, "no clip can be traced without it")
+        return
+    _check_links(contents)
+    _check_sampled(contents)
+    if contents.release:
+        stated, sums = set(contents.release["files"]), set(contents.sums) - {RELEASE_RECORD}
+        for name in stated ^ sums:
+            lists = ("records/release.json", "SHA256SUMS")
+            there, lacking = lists if name in stated else lists[::-1]
+            contents.broken(name, f"listed in {there}, but not in {lacking}")
     sources = contents.folder / SOURCES
     if (contents.folder / PACKAGE_SOURCES / "dataset").is_dir():
-        findings += _sources(lineage, sources)
+        _check_sources(contents, sources)
     elif sources.is_dir():
-        notes.append("code/src is of an older version of Slipstitch: code digests not compared")
-    if contents.config is not None:
-        findings += _configuration(lineage, contents.config)
-        stale = sorted({artefact.stage for artefact in _ours(lineage) if _is_stale(artefact)})
-        if stale:
-            notes.append(
-                "labels, times, stage positions and splits are checked with code that has changed "
-                f"since ({', '.join(stale)})"
-            )
-        findings += _recomputed(lineage, contents.config, shards, stale)
-    return findings, notes
-
-
-def _ours(lineage: Lineage) -> Iterator[Artefact]:
-    return (
-        artefact
-        for path, artefact in lineage.artefacts.items()
-        if is_ours(path) and artefact.provenance
-    )
+        contents.remarks.append(
+            "code/src is of an older version of Slipstitch: code digests not compared"
+        )
+    if (config := contents.config) is None:
+        return
+    for artefact in contents.made():
+        if changes := config_changes(artefact, config, contents.calibrated):
+            what = f"made with a configuration that differs from records/config.json: {changes[0]}"
+            contents.broken(record_file(artefact.path), what, contents.clips_of(artefact.path))
+    stale = sorted({artefact.stage for artefact in contents.made() if _is_stale(artefact)})
+    if stale:
+        contents.remarks.append(
+            "labels, times, stage positions and splits are checked with code that has changed "
+            f"since ({', '.join(stale)})"
+        )
+    _check_recomputed(contents, config, stale)
+    _check_times(contents, config, shards)
+    _check_rendered(contents)
 
 
 def _is_stale(artefact: Artefact) -> bool:
@@ -93,69 +87,57 @@ def _is_stale(artefact: Artefact) -> bool:
     return made_by != now or bool(catalogue_changes(artefact))
 
 
-def _links(lineage: Lineage) -> Iterator[Finding]:
-    """Records that are missing, or about other files than what was made from them says."""
-    folder = lineage.contents.folder
-    starts = {path for row in lineage.contents.rows for path in lineage.behind(row)}
-    starts |= {SAMPLED_MANIFEST} | ({VERIFICATION} & set(lineage.artefacts))
+def _check_links(contents: Contents) -> None:
+    """Note records that are missing, or about other files than what was made from them says."""
+    artefacts = contents.artefacts
+    starts = {path for row in contents.rows for path in contents.behind(row)}
+    starts |= {SAMPLED_MANIFEST} | ({VERIFICATION} & set(artefacts))
     for path in sorted(starts):
-        artefact = lineage.artefacts.get(path)
-        where, clips = record_file(path), lineage.clips(path)
+        artefact = artefacts.get(path)
+        where, clips = record_file(path), contents.clips_of(path)
         if artefact is None:
-            yield Finding(Kind.BROKEN, where, f"no readable record of {path}", clips)
+            contents.broken(where, f"no readable record of {path}", clips)
             continue
         if is_ours(path) and artefact.provenance is None:
-            yield Finding(Kind.BROKEN, where, "does not state its origin", clips)
+            contents.broken(where, "does not state its origin", clips)
         if is_carried(artefact):
-            carried = folder / carried_file(path)
+            carried = contents.folder / carried_file(path)
             if carried.is_file() and file_digest(carried) != artefact.sha256:
-                what = f"not the file described by {record_file(path)}"
-                yield Finding(Kind.BROKEN, carried_file(path), what, clips)
+                what = f"not the file described by {where}"
+                contents.broken(carried_file(path), what, clips)
         for name, digest in artefact.inputs.items():
-            behind = lineage.artefacts.get(name)
-            if behind is not None and behind.sha256 != digest:
+            if name in artefacts and artefacts[name].sha256 != digest:
                 what = f"was made from a {name} other than the one described by {record_file(name)}"
-                touched = min(lineage.clips(name), clips, key=len)
-                yield Finding(Kind.BROKEN, where, what, touched)
-    manifest = lineage.artefacts.get(SAMPLED_MANIFEST)
-    for row in lineage.contents.rows:
+                touched = min(contents.clips_of(name), clips, key=len)
+                contents.broken(where, what, touched)
+    manifest = artefacts.get(SAMPLED_MANIFEST)
+    for row in contents.rows:
         if manifest and f"results/sample/{row['sampled_file']}" not in manifest.inputs:
             what = f"the manifest was not made from {row['sampled_file']}"
-            yield Finding(Kind.BROKEN, record_file(SAMPLED_MANIFEST), what, (row["video"],))
-        stages = {one.stage for one in map(lineage.artefacts.get, lineage.behind(row)) if one}
-        if not {"simulate", "render"} <= stages:
+            contents.broken(record_file(SAMPLED_MANIFEST), what, [row["video"]])
+        if not (contents.of_stage(row, "simulate") and contents.of_stage(row, "render")):
             what = f"{row['video']}: its rendering or simulation is missing"
-            yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))
-    for path in sorted(set(lineage.artefacts) - starts):
-        what = "no clip depends on the file that it describes"
-        yield Finding(Kind.BROKEN, record_file(path), what)
+            contents.broken(MANIFEST, what, [row["video"]])
+    for path in set(artefacts) - starts:
+        contents.broken(record_file(path), "no clip depends on the file that it describes")
 
 
-def _configuration(lineage: Lineage, config: Config) -> Iterator[Finding]:
-    """Records against the configuration that the release carries."""
-    for artefact in _ours(lineage):
-        if changes := config_changes(artefact, config, lineage.contents.calibrated):
-            what = f"made with a configuration that differs from records/config.json: {changes[0]}"
-            clips = lineage.clips(artefact.path)
-            yield Finding(Kind.BROKEN, record_file(artefact.path), what, clips)
-
-
-def _sources(lineage: Lineage, sources: Path) -> Iterator[Finding]:
-    """Records against the sources that the release carries."""
-    for artefact in _ours(lineage):
-        where, clips = record_file(artefact.path), lineage.clips(artefact.path)
+def _check_sources(contents: Contents, sources: Path) -> None:
+    """Compare records with the sources that the release carries."""
+    for artefact in contents.made():
+        where, clips = record_file(artefact.path), contents.clips_of(artefact.path)
         digest = artefact.record.get("code_digest")
         if digest != current_digest(artefact.stage, sources, artefact.versions):
             what = f"its code digest is not that of {artefact.stage} in code/src at its versions"
-            yield Finding(Kind.BROKEN, where, what, clips)
+            contents.broken(where, what, clips)
         for name, digest in recorded_entries(artefact).get("fabrics", {}).items():
             if digest != _carried_fabric(sources, name):
-                what = f"was made with a fabric {name} that differs from code/src"
-                yield Finding(Kind.BROKEN, where, what, clips)
-    digest = lineage.contents.release.get("provenance", {}).get("code_digest")
-    if lineage.contents.release and digest != current_digest("release", sources):
-        what = "its code digest differs from that of release in code/src"
-        yield Finding(Kind.BROKEN, RELEASE_RECORD, what)
+                contents.broken(
+                    where, f"was made with a fabric {name} that differs from code/src", clips
+                )
+    digest = contents.release.get("provenance", {}).get("code_digest")
+    if contents.release and digest != current_digest("release", sources):
+        contents.broken(RELEASE_RECORD, "its code digest differs from that of release in code/src")
 
 
 def _carried_fabric(sources: Path, name: str) -> str | None:
@@ -166,17 +148,14 @@ def _carried_fabric(sources: Path, name: str) -> str | None:
         return None
 
 
-def _sampled(lineage: Lineage) -> Iterator[Finding]:
-    """The manifest against the digest that the sampling stage noted of its rows."""
-    contents = lineage.contents
-    record = lineage.artefacts.get(SAMPLED_MANIFEST)
-    rows = _sampled_rows(contents)
-    noted = record and record.metadata.get("dataset_digest")
-    if record is not None and rows and dataset_digest(rows) != noted:
+def _check_sampled(contents: Contents) -> None:
+    """Compare the manifest with the digest that the sampling stage noted of its rows."""
+    record, rows = contents.artefacts.get(SAMPLED_MANIFEST), _sampled_rows(contents)
+    if record and rows and dataset_digest(rows) != record.metadata.get("dataset_digest"):
         what = "labels, splits or pixel digests differ from those of the sampling stage"
-        yield Finding(Kind.BROKEN, MANIFEST, f"{what} ({record_file(SAMPLED_MANIFEST)})")
+        contents.broken(MANIFEST, f"{what} ({record_file(SAMPLED_MANIFEST)})")
     if not rows or dataset_digest(contents.rows) != contents.notes.get("dataset_digest"):
-        yield Finding(Kind.BROKEN, MANIFEST, "its rows do not match their digest")
+        contents.broken(MANIFEST, "its rows do not match their digest")
 
 
 def _sampled_rows(contents: Contents) -> list[dict[str, Any]]:
@@ -187,52 +166,44 @@ def _sampled_rows(contents: Contents) -> list[dict[str, Any]]:
         return []
 
 
-def _release_record(contents: Contents) -> Iterator[Finding]:
-    """The release's own list of files against SHA256SUMS."""
-    stated, sums = set(contents.release.get("files", {})), set(contents.sums) - {RELEASE_RECORD}
-    if contents.release:
-        for name in sorted(stated ^ sums):
-            lists = ("records/release.json", "SHA256SUMS")
-            there, lacking = lists if name in stated else lists[::-1]
-            yield Finding(Kind.BROKEN, name, f"listed in {there}, but not in {lacking}")
-
-
-def _recomputed(
-    lineage: Lineage, config: Config, shards: Mapping[str, Shard], stale: Collection[str]
-) -> Iterator[Finding]:
-    """Everything determined by configuration and seed, recomputed."""
-    contents = lineage.contents
+def _check_recomputed(contents: Contents, config: Config, stale: Collection[str]) -> None:
+    """Compare labels and splits with what configuration and seed determine."""
     try:
         expected = video_labels(config)
     except BadInput as error:
-        yield Finding(Kind.BROKEN, "records/config.json", f"the splits cannot be drawn: {error}")
+        contents.broken("records/config.json", f"the splits cannot be drawn: {error}")
         return
     rows = _sampled_rows(contents)
     for row in rows:
         for name, value in expected.get(row["video"], {}).items():
             if name.startswith(PREFIX) and "sample" in stale:
                 continue
-            if name in row and row[name] != value:
-                what = f"{name} is {row[name]!r}, the configuration gives {value!r}"
-                yield Finding(Kind.BROKEN, MANIFEST, f"{row['video']}: {what}", (row["video"],))
-    odd = sorted(set(expected) ^ set(contents.clips))
-    if odd:
+            if name in row:
+                _compare(contents, row, name, value, "the configuration gives")
+    if odd := sorted(set(expected) ^ set(contents.clips)):
         what = f"{odd[0]}: not in the configured grid"
         if odd[0] in expected:
             what = f"the clip {odd[0]} of the grid is missing ({len(odd)} differ from the grid)"
-        yield Finding(Kind.BROKEN, MANIFEST, what, tuple(set(odd) & set(contents.clips)))
-    yield from _timed(contents, config, shards)
-    for row in contents.rows:
-        yield from _rendered(lineage, row)
+        contents.broken(MANIFEST, what, sorted(set(odd) & set(contents.clips)))
     if rows and "sample" not in stale:
         splits = split_columns(rows, config)
-        for name, sides in splits.items():
-            yield from _differing(contents.rows, PREFIX + name, sides)
-        yield from _differing(contents.rows, "part", parts(splits))
+        columns = {PREFIX + name: sides for name, sides in splits.items()}
+        for name, values in (columns | {"part": parts(splits)}).items():
+            for row, value in zip(contents.rows, values, strict=True):
+                _compare(contents, row, name, value, "redrawn")
 
 
-def _timed(contents: Contents, config: Config, shards: Mapping[str, Shard]) -> Iterator[Finding]:
-    """Errors in frame numbers, times and stage positions of the clips' images."""
+def _compare(
+    contents: Contents, row: Mapping[str, Any], name: str, expected: Any, which: str
+) -> None:
+    """Note a clip's column that has another value than expected."""
+    if row.get(name) != expected:
+        what = f"{row['video']}: {name} is {row.get(name)!r}, {which} {expected!r}"
+        contents.broken(MANIFEST, what, [row["video"]])
+
+
+def _check_times(contents: Contents, config: Config, shards: Mapping[str, Shard]) -> None:
+    """Compare frame numbers, times and stage positions of the clips' images with the protocol."""
     frames = sampled_frames(config.simulation.frames, config.sample.frames_kept)
     times_s = frames / config.simulation.frame_rate_hz
     x_m, _ = StagePath(**dict(config.simulation.stage)).position_m(times_s)
@@ -245,25 +216,17 @@ def _timed(contents: Contents, config: Config, shards: Mapping[str, Shard]) -> I
             same = found.shape == values.shape
             if not same or not (np.abs(found - values) <= _STAGE_TOLERANCE_M).all():
                 what = f"{row['video']}: {name} differs from the protocol"
-                yield Finding(Kind.BROKEN, row["shard"], what, (row["video"],))
+                contents.broken(row["shard"], what, [row["video"]])
 
 
-def _rendered(lineage: Lineage, row: Mapping[str, Any]) -> Iterator[Finding]:
-    """A clip's pose and floor against what its images were rendered with."""
-    for record in lineage.of_stage(row, "render"):
-        pose, floor = record.metadata.get("pose"), record.metadata.get("surroundings")
-        told = {f"pose_{name}": value for name, value in (pose or {}).items()}
-        if isinstance(floor, Mapping):
-            told["floor"] = floor.get("floor")
-            told |= {f"floor_{name}": floor.get(name) for name in ("reflectance", "roughness")}
-        for name, value in told.items():
-            if row.get(name) != value:
-                what = f"{row['video']}: {name} is {row.get(name)!r}, rendered with {value!r}"
-                yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))
-
-
-def _differing(rows: Iterable[Mapping[str, Any]], column: str, expected: list) -> Iterator[Finding]:
-    for row, value in zip(rows, expected, strict=True):
-        if row.get(column) != value:
-            what = f"{row['video']}: {column} is {row.get(column)!r}, redrawn {value!r}"
-            yield Finding(Kind.BROKEN, MANIFEST, what, (row["video"],))
+def _check_rendered(contents: Contents) -> None:
+    """Compare each clip's pose and floor with what its images were rendered with."""
+    for row in contents.rows:
+        for record in contents.of_stage(row, "render"):
+            pose, floor = record.metadata.get("pose"), record.metadata.get("surroundings")
+            told = {f"pose_{name}": value for name, value in (pose or {}).items()}
+            if isinstance(floor, Mapping):
+                told["floor"] = floor.get("floor")
+                told |= {f"floor_{name}": floor.get(name) for name in ("reflectance", "roughness")}
+            for name, value in told.items():
+                _compare(contents, row, name, value, "rendered with")

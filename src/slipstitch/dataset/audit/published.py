@@ -147,17 +147,17 @@ class _Published:
         self.check_datasets()
         for name in self.records:
             self.check_inputs(name)
-        chains = []
-        for weights, digest in self.models.items():
-            published, ships = weights in self.digests, digest == shipped
-            shards = self.shards(weights)
-            behind = self.behind(shards)
-            chains.append(Chain(weights, digest, published, ships, shards, behind))
+        chains = [self.chain(weights, shipped) for weights in self.models]
         notes = self.notes()
         if recompute is not None and {_SCORES, _PREDICTIONS} <= set(self.digests):
             notes += self.check_scores(recompute)
         findings = sorted_findings(self.findings)
         return PublishedAudit(self.name, len(self.digests), findings, chains, notes)
+
+    def chain(self, weights: str, shipped: str) -> Chain:
+        digest, shards = self.models[weights], self.shards(weights)
+        published, ships = weights in self.digests, digest == shipped
+        return Chain(weights, digest, published, ships, shards, self.behind(shards))
 
     def find(self, kind: Kind, where: str, what: str) -> None:
         self.findings.append(Finding(kind, where, what))
@@ -189,21 +189,17 @@ class _Published:
     @cached_property
     def models(self) -> dict[str, str]:
         """Weights of every model -> SHA-256 that its card names."""
-        cards = [
-            name for name in self.digests if name.endswith(("/model.json", "/instrument.json"))
-        ]
         return {
-            card.replace(".json", WEIGHTS): str(self.json(card).get("weights_sha256"))
-            for card in cards
+            name.replace(".json", WEIGHTS): str(self.json(name).get("weights_sha256"))
+            for name in self.digests
+            if name.endswith(("/model.json", "/instrument.json"))
         }
 
     @cached_property
     def known(self) -> dict[str, str]:
         """File as records call it, without the folder of the results -> SHA-256 published of it."""
-        known = {
-            f"{_SAMPLED}{name}": digest
-            for name, digest in _mapping(self.json(_DIGESTS).get("files")).items()
-        }
+        files = _mapping(self.json(_DIGESTS).get("files"))
+        known = {f"{_SAMPLED}{name}": digest for name, digest in files.items()}
         known[_SAMPLED + MANIFEST] = self.digests.get(f"{_DATASET}/{MANIFEST}", "")
         for name, digest in (self.digests | self.models).items():
             if name.startswith("models/"):
@@ -219,10 +215,7 @@ class _Published:
             elif self.digests[name] != digest:
                 self.find(Kind.ALTERED, name, f"not the file listed in {INDEX}")
         for name, record in self.records.items():
-            if (
-                name in self.digests
-                and record.get("sha256", self.digests[name]) != (self.digests[name])
-            ):
+            if (own := self.digests.get(name)) and record.get("sha256", own) != own:
                 self.find(Kind.BROKEN, name, "not the file that its record was written for")
 
     def check_models(self) -> None:
@@ -236,8 +229,8 @@ class _Published:
     @cached_property
     def datasets(self) -> dict[str, str]:
         """Folder of every published dataset -> SHA-256 of its manifest."""
-        manifests = [name for name in self.digests if name.endswith(f"/{MANIFEST}")]
-        return {name.removesuffix(f"/{MANIFEST}"): self.digests[name] for name in manifests}
+        end = f"/{MANIFEST}"
+        return {n.removesuffix(end): one for n, one in self.digests.items() if n.endswith(end)}
 
     def check_datasets(self) -> None:
         """Whether every published manifest is the one of the published digests."""
@@ -288,11 +281,9 @@ class _Published:
     def shards(self, weights: str) -> dict[str, str]:
         """Files of images that a model, or the models that it averages, were trained on."""
         inputs = self.inputs(weights)
-        found = {
-            Path(path).name: digest
-            for path, digest in inputs.items()
-            if path.partition("/")[2].startswith(_SAMPLED) and Path(path).name != MANIFEST
-        }
+        sampled = [path for path in inputs if path.partition("/")[2].startswith(_SAMPLED)]
+        found = {Path(path).name: inputs[path] for path in sampled}
+        found.pop(MANIFEST, None)
         for place, manifest in self.datasets.items():
             if place.startswith(FURTHER) and manifest in inputs.values():
                 files = _mapping(self.json(f"{place}/digests.json").get("files"))
@@ -304,10 +295,10 @@ class _Published:
         found: dict[str, str] = {}
         for shard in shards:
             place, _, name = shard.rpartition("/")
-            lineage = self.json(f"{place or _DATASET}/lineage.json")
+            where = f"{place or _DATASET}/lineage.json"
+            lineage = self.json(where)
             waiting = [path for path in lineage if path.endswith(f"/sample/{name}")]
             if lineage and not waiting:
-                where = f"{place or _DATASET}/lineage.json"
                 self.find(Kind.BROKEN, where, f"does not say what {name} was made from")
             while waiting:
                 for path, digest in _mapping(lineage.get(waiting.pop())).items():
@@ -319,10 +310,9 @@ class _Published:
 
     def notes(self) -> list[str]:
         notes = [not_part("what was published", self.others)] if self.others else []
-        if self.missing:
-            more = f" and {len(self.missing) - 1} more" if len(self.missing) > 1 else ""
-            first = f"{self.missing[0]}{more}"
-            notes.append(f"partial: {len(self.missing)} parts of the run are missing: {first}")
+        if count := len(self.missing):
+            more = f" and {count - 1} more" if count > 1 else ""
+            notes.append(f"partial: {count} parts of the run are missing: {self.missing[0]}{more}")
         notes += [*self.origin(), *_NOTES]
         if any(name.endswith(_READ_ELSEWHERE) for name in self.digests):
             notes.append("what stretches the intervals was read of videos that are not published")
@@ -349,13 +339,13 @@ class _Published:
                 dirty.add(stage)
             if "code_digest" in record and any(other_code(Artefact("", "", provenance=record))):
                 others.add(stage)
-        of_each = (f"{name} ({_list(stages)})" for name, stages in sorted(commits.items()))
-        notes = [f"made by the code of commit {', '.join(of_each)}"] if commits else []
-        if dirty:
-            notes.append(f"made with uncommitted changes: {_list(dirty)}")
-        if others:
-            notes.append(f"made by other code or libraries than those that audit: {_list(others)}")
-        return notes
+        of_each = [f"{name} ({_list(stages)})" for name, stages in sorted(commits.items())]
+        told = {
+            "made by the code of commit ": ", ".join(of_each),
+            "made with uncommitted changes: ": _list(dirty),
+            "made by other code or libraries than those that audit: ": _list(others),
+        }
+        return [words + names for words, names in told.items() if names]
 
 
 def _leaves(content: Any, place: tuple[str, ...] = ()) -> dict[tuple[str, ...], Any]:

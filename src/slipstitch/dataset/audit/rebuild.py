@@ -1,6 +1,5 @@
 """A clip simulated and rendered again from its record, and compared."""
 
-import json
 import shutil
 import subprocess
 import sys
@@ -14,11 +13,11 @@ import numpy as np
 import pyarrow.parquet as pq
 
 from slipstitch.base.errors import BadInput, SlipstitchError
-from slipstitch.base.provenance import read_metadata
-from slipstitch.config import Config, write_config
+from slipstitch.base.provenance import read_metadata, write_json
+from slipstitch.config import Config
 from slipstitch.config.load import without_law
 from slipstitch.dataset.audit.auditing import find_clip
-from slipstitch.dataset.audit.contents import Contents, Lineage
+from slipstitch.dataset.audit.contents import Contents
 from slipstitch.dataset.images import decode, read_shard
 from slipstitch.dataset.release.records import Artefact, carried_file, recorded_name, rows_digest
 
@@ -69,32 +68,20 @@ def _run(*words: str) -> None:
 
 def _configuration(contents: Contents, config: Config, folder: Path) -> Path:
     """The release's configuration, with files from outside taken from the release."""
-    simulation, render = config.simulation, config.render
-    files = {simulation.model, render.camera, *render.texture_files()} - {None}
+    whole = config.model_dump(mode="json")
+    simulation, render = whole["simulation"], whole["render"]
+    files = {simulation["model"], render["camera"], *config.render.texture_files()} - {None}
 
     def taken_along(name: str | None) -> str | None:
         path = recorded_name(name, contents.artefacts) if name and name in files else None
         return str((contents.folder / carried_file(path)).resolve()) if path else name
 
-    sections = {
-        "simulation": simulation.model_copy(update={"model": taken_along(simulation.model)}),
-        "render": render.model_copy(
-            update={
-                "camera": taken_along(render.camera),
-                "textures": [taken_along(name) for name in render.textures],
-                "test_textures": [taken_along(name) for name in render.test_textures],
-            }
-        ),
-    }
-    write_config(config.model_copy(update=sections), folder / "config.json")
+    for section, key in ((simulation, "model"), (render, "camera")):
+        section[key] = taken_along(section[key])
+    for key in ("textures", "test_textures"):
+        render[key] = [taken_along(name) for name in render[key]]
+    write_json(folder / "config.json", whole)
     return folder / "config.json"
-
-
-def _released(contents: Contents, row: dict[str, Any]) -> np.ndarray:
-    """The released clip, uint8 (frames, pixels, pixels, 3)."""
-    table = pq.read_table(contents.folder / row["shard"], columns=["image"])
-    images = table["image"].slice(row["first_row"], row["frames"]).to_pylist()
-    return np.stack([decode(image["bytes"], row["video"], row["pixels"]) for image in images])
 
 
 def rebuild(contents: Contents, clip: str) -> Rebuilt:
@@ -110,9 +97,8 @@ def rebuild(contents: Contents, clip: str) -> Rebuilt:
         If the simulation or the rendering fails.
     """
     row = find_clip(contents, clip)
-    lineage = Lineage(contents)
-    simulated, rendered = lineage.of_stage(row, "simulate"), lineage.of_stage(row, "render")
-    calibrated = lineage.of_stage(row, "calibrate.calibration")
+    stages = ("simulate", "render", "calibrate.calibration")
+    simulated, rendered, calibrated = (contents.of_stage(row, stage) for stage in stages)
     of_view = [one for one in rendered if Path(one.path).stem.endswith(row["viewpoint_id"])]
     if contents.config is None or not (simulated and of_view and calibrated):
         raise BadInput(f"{contents.folder}: the records behind {clip} are not whole")
@@ -140,16 +126,23 @@ def rebuild(contents: Contents, clip: str) -> Rebuilt:
             "--trajectory", str(folder / f"{row['simulation']}.parquet"),
             "--viewpoint", row["viewpoint_id"], "--out", str(shard),
         )  # fmt: skip
-        frames = np.array(_frames(contents, row))
-        videos = read_shard(shard, frames)
+        table = pq.read_table(contents.folder / row["shard"], columns=["frame", "image"])
+        table = table.slice(row["first_row"], row["frames"])
+        videos = read_shard(shard, table["frame"].to_numpy())
         key = (row["simulation"], row["texture_id"], row["viewpoint_id"])
         if key not in videos:
             raise BadInput(f"{clip}: not among the {len(videos)} videos rendered again")
-        again = np.stack([decode(frame.png, clip, row["pixels"]) for frame in videos[key]])
+        again, released = (
+            np.stack([decode(png, clip, row["pixels"]) for png in images])
+            for images in (
+                [frame.png for frame in videos[key]],
+                [image["bytes"] for image in table["image"].to_pylist()],
+            )
+        )
         differing = [*_differing(of_view[0], shard)]
         for one in simulated:
             differing += _differing(one, trajectories[one.path])
-    return compare(clip, _released(contents, row), again, same_motion, tuple(differing))
+    return compare(clip, released, again, same_motion, tuple(differing))
 
 
 def _differing(recorded: Artefact, made: Path) -> list[str]:
@@ -164,11 +157,6 @@ def _comparable(metadata: Mapping[str, Any]) -> dict[str, Any]:
     if isinstance(kept.get("settings"), dict):
         kept["settings"] = without_law(kept["settings"])
     return kept
-
-
-def _frames(contents: Contents, row: dict[str, Any]) -> list[int]:
-    table = pq.read_table(contents.folder / row["shard"], columns=["frame"])
-    return table["frame"].slice(row["first_row"], row["frames"]).to_pylist()
 
 
 def compare(
@@ -205,8 +193,3 @@ def in_words(done: Rebuilt) -> str:
             f"by up to {done.largest_difference} of 255, {done.psnr_db} dB"
         )
     return f"{done.clip}: made again, {motion}; {pixels}{told}"
-
-
-def as_json(done: Rebuilt) -> str:
-    """The comparison as JSON."""
-    return json.dumps(vars(done), indent=1)

@@ -10,46 +10,31 @@ from pathlib import Path
 
 from slipstitch.base.provenance.code import PACKAGE, RESULT_PACKAGES, installed_version
 from slipstitch.config import Config
-from slipstitch.dataset.audit.contents import Contents, Lineage
-from slipstitch.dataset.audit.findings import Finding, Kind
+from slipstitch.dataset.audit.contents import Contents
+from slipstitch.dataset.audit.findings import Kind
 from slipstitch.dataset.release.currency import catalogue_changes, config_changes, current_digest
-from slipstitch.dataset.release.records import Artefact, is_ours
+from slipstitch.dataset.release.records import Artefact
 from slipstitch.physics.simulation.convergence import MEASURED, study_digest
 
 
-def check_staleness(contents: Contents, config: Config | None) -> list[Finding]:
-    """Stages whose code, catalogue or study has changed, and records of other values than `config`.
-
-    Returns
-    -------
-    list of Finding
-        All of kind STALE, one a stage and reason.
-    """
-    lineage = Lineage(contents)
+def check_staleness(contents: Contents, config: Config | None) -> None:
+    """Note STALE stages: of other code, catalogue, study, or values than `config` has."""
     touched: dict[tuple[str, str], set[str]] = defaultdict(set)
     study = study_digest()
-    for path, artefact in contents.artefacts.items():
-        if artefact.provenance is None or not is_ours(path):
-            continue
-        for reason in other_code(artefact):
-            touched[artefact.stage, reason].update(lineage.clips(path))
+    for artefact in contents.made():
+        reasons = [*other_code(artefact)]
         if quoted_study(artefact) not in (None, study):
-            reason = "it quotes the verdict of another convergence study than today's"
-            touched[artefact.stage, reason].update(lineage.clips(path))
-        for change in catalogue_changes(artefact):
-            reason = f"the catalogue has changed: {change}"
-            touched[artefact.stage, reason].update(lineage.clips(path))
-        if config is not None:
-            for change in config_changes(artefact, config, contents.calibrated):
-                reason = f"its configuration has changed: {change}"
-                touched[artefact.stage, reason].update(lineage.clips(path))
+            reasons.append("it quotes the verdict of another convergence study than today's")
+        reasons += [f"the catalogue has changed: {one}" for one in catalogue_changes(artefact)]
+        changes = config_changes(artefact, config, contents.calibrated) if config else []
+        reasons += [f"its configuration has changed: {one}" for one in changes]
+        for reason in reasons:
+            touched[artefact.stage, reason].update(contents.clips_of(artefact.path))
     own = contents.release.get("provenance", {}).get("code_digest")
     if own is not None and own != current_digest("release"):
-        touched["release", "its code has changed"].update(())
-    return [
-        Finding(Kind.STALE, stage, reason, tuple(sorted(clips)))
-        for (stage, reason), clips in sorted(touched.items())
-    ]
+        touched["release", "its code has changed"] = set()
+    for (stage, reason), clips in sorted(touched.items()):
+        contents.find(Kind.STALE, stage, reason, sorted(clips))
 
 
 def other_code(artefact: Artefact) -> Iterator[str]:
@@ -75,63 +60,49 @@ def quoted_study(artefact: Artefact) -> object:
     return quoted.get("table_sha256") if isinstance(quoted, Mapping) else None
 
 
-def check_commits(contents: Contents, checkout: Path) -> tuple[list[Finding], list[str]]:
-    """Code digests of the records against the commits that they name.
+def check_commits(contents: Contents, checkout: Path) -> None:
+    """Note BROKEN where a commit that records name holds other code, or another study, than they.
 
-    Returns
-    -------
-    findings : list of Finding
-        BROKEN where a commit holds other code, or another convergence study, than the release
-        says.
-    notes : list of str
-        Commits that could not be looked at.
+    Commits that cannot be looked at are remarked.
     """
-    claims: dict[str, dict[tuple, list[str]]] = defaultdict(lambda: defaultdict(list))
-    notes = []
+    claims: dict[str, dict[tuple, list[Artefact]]] = defaultdict(lambda: defaultdict(list))
     dirty = set()
-    for path, artefact in contents.artefacts.items():
-        record = artefact.provenance
-        if record is None or not is_ours(path):
-            continue
+    for artefact in contents.made():
+        record = artefact.record
         commit = record.get("git_commit")
         if not isinstance(commit, str) or record.get("git_dirty"):
             dirty.add(artefact.stage)
         else:
             versions = tuple(sorted(artefact.versions.items()))
-            claims[commit][artefact.stage, record.get("code_digest"), versions].append(path)
+            claims[commit][artefact.stage, record.get("code_digest"), versions].append(artefact)
     if dirty:
-        notes.append(
+        contents.remarks.append(
             f"made with uncommitted changes: {', '.join(sorted(dirty))}; their code is only "
             "available in code/"
         )
-    findings: list[Finding] = []
     for commit, stages in sorted(claims.items()):
         with tempfile.TemporaryDirectory() as folder:
+            name, source = f"commit {commit[:12]}", Path(folder) / "src"
             if not _extract(checkout, commit, Path(folder)):
-                notes.append(f"commit {commit[:12]} is not in this checkout: code not compared")
-                continue
-            source = Path(folder) / "src"
-            if not (source / PACKAGE / "dataset").is_dir():
-                notes.append(f"commit {commit[:12]} is of an older version: code not compared")
-                continue
-            findings += _claims(Lineage(contents), commit, stages, source)
-    return findings, notes
+                contents.remarks.append(f"{name} is not in this checkout: code not compared")
+            elif not (source / PACKAGE / "dataset").is_dir():
+                contents.remarks.append(f"{name} is of an older version: code not compared")
+            else:
+                _check_claims(contents, name, stages, source)
 
 
-def _claims(lineage: Lineage, commit: str, stages: dict, source: Path) -> Iterator[Finding]:
+def _check_claims(contents: Contents, commit: str, stages: dict, source: Path) -> None:
     study = study_digest(source / PACKAGE / "physics" / "simulation" / MEASURED.name)
-    for (stage, digest, versions), paths in stages.items():
+    for (stage, digest, versions), artefacts in stages.items():
+        others = [one for one in artefacts if quoted_study(one) not in (None, study)]
+        odd = []
         if current_digest(stage, source, dict(versions)) != digest:
-            clips = {clip for path in paths for clip in lineage.clips(path)}
-            what = f"commit {commit[:12]} contains other code of {stage} than the records"
-            yield Finding(Kind.BROKEN, stage, what, tuple(sorted(clips)))
-        other = [
-            path for path in paths if quoted_study(lineage.artefacts[path]) not in (None, study)
-        ]
-        if other:
-            clips = {clip for path in other for clip in lineage.clips(path)}
-            what = f"commit {commit[:12]} contains another convergence study than is quoted"
-            yield Finding(Kind.BROKEN, stage, what, tuple(sorted(clips)))
+            odd.append((artefacts, f"other code of {stage} than the records"))
+        if others:
+            odd.append((others, "another convergence study than is quoted"))
+        for of_odd, what in odd:
+            clips = {clip for one in of_odd for clip in contents.clips_of(one.path)}
+            contents.broken(stage, f"{commit} contains {what}", sorted(clips))
 
 
 def _extract(checkout: Path, commit: str, folder: Path) -> bool:
