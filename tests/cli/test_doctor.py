@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from slipstitch.base.errors import SlipstitchError
+from slipstitch.base.project import pinned_versions
 from slipstitch.cli.main import main
 from slipstitch.images.blender import ClothScene
 from slipstitch.report import machine_checks as checks
@@ -35,18 +36,15 @@ def test_before_anything_is_installed_it_says_what_is_missing():
     assert "MISSING packages" in answer.stdout
 
 
-def test_something_missing_is_exit_code_1_with_its_remedy(monkeypatch, capsys):
+def test_something_missing_is_exit_code_1_with_its_remedy_and_a_note_is_none(monkeypatch, capsys):
+    note = Diagnosis("GPU", Standing.NOTE, "none")
+    monkeypatch.setattr(checks, "examine", lambda: [note])
+    assert main(["doctor"]) == 0
     finding = Diagnosis("Blender", Standing.MISSING, "import bpy: no such module", "make setup")
-    monkeypatch.setattr(checks, "examine", lambda: [finding])
+    monkeypatch.setattr(checks, "examine", lambda: [note, finding])
     assert main(["doctor"]) == 1
     shown = capsys.readouterr().out
-    assert "MISSING Blender" in shown
-    assert "Blender: make setup" in shown
-
-
-def test_something_worth_a_note_is_no_failure(monkeypatch):
-    monkeypatch.setattr(checks, "examine", lambda: [Diagnosis("GPU", Standing.NOTE, "none")])
-    assert main(["doctor"]) == 0
+    assert "MISSING Blender" in shown and "Blender: make setup" in shown
 
 
 def test_absent_package_is_missing_and_other_version_is_noted(tmp_path):
@@ -109,23 +107,18 @@ def test_processor_says_whether_training_is_fast(tmp_path, flags, fast):
     assert ("bfloat16 training" in finding.found) == fast
 
 
-def test_full_disk_is_missing(tmp_path):
+def test_full_disk_and_other_python_are_missing(monkeypatch, tmp_path):
     assert checks.check_disk(tmp_path, needed_bytes=1e30).state is Standing.MISSING
     assert checks.check_disk(tmp_path, needed_bytes=1).state is Standing.GOOD
-
-
-def test_other_python_is_missing(monkeypatch):
     monkeypatch.setattr(sys, "version_info", (3, 12, 0))
     assert checks.check_python().state is Standing.MISSING
 
 
 def test_requirements_are_those_of_the_lock():
-    direct = checks.pinned_versions(ROOT / "envs/requirements.txt")
-    direct |= checks.pinned_versions(ROOT / "envs/development.txt")
-    lock = {
-        name.lower(): version
-        for name, version in checks.pinned_versions(ROOT / "envs/requirements.lock").items()
-    }
+    direct = pinned_versions(ROOT / "envs/requirements.txt")
+    direct |= pinned_versions(ROOT / "envs/development.txt")
+    locked = pinned_versions(ROOT / "envs/requirements.lock").items()
+    lock = {name.lower(): version for name, version in locked}
     assert len(direct) > 15
     for package, version in direct.items():
         assert lock.get(package.lower()) == version, package

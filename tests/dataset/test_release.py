@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import yaml
@@ -43,9 +44,11 @@ from slipstitch.images.camera_file import write_camera_file
 
 ROOT = Path(__file__).parents[2]
 CONFIG = synthetic_chain.config()
+RELEASE = "slipstitch.dataset.release"
+ASSEMBLY = f"{RELEASE}.assembly"
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")
 def release(original):
     return original
 
@@ -319,32 +322,27 @@ def test_crate_knows_every_job_and_what_it_was_made_from(release):
             assert entity["sha256"] == hashlib.sha256(data).hexdigest(), entity.id
 
 
-def test_same_results_make_the_same_bytes(release, results, tmp_path, monkeypatch):
-    again = tmp_path / "again"
-    write_release(CONFIG, results, again, ROOT)
-    sums, other = read_sums(release), read_sums(again)
-    differing = {name for name in sums | other if sums.get(name) != other.get(name)}
-    # What says how long the release took, and what holds digests of that.
-    assert differing <= {"records/release.json", "ro-crate-metadata.json"}
-
-
-def test_equal_configuration_makes_equal_data_in_another_folder(release, tmp_path):
-    results = synthetic_chain.write(CONFIG, tmp_path)
+@pytest.mark.parametrize("elsewhere", [False, True])
+def test_same_results_make_the_same_bytes(release, results, tmp_path, elsewhere):
+    """Also where an equal configuration made them in another folder."""
     again = tmp_path / "release"
-    write_release(CONFIG, results, again, ROOT)
+    made = synthetic_chain.write(CONFIG, tmp_path) if elsewhere else results
+    write_release(CONFIG, made, again, ROOT)
     sums, other = read_sums(release), read_sums(again)
     differing = {name for name in sums | other if sums.get(name) != other.get(name)}
-    # Records hold times and, of files that hold times, digests.
-    assert all(name.startswith(("records/", "simulations/", "ro-crate")) for name in differing)
-    for path in (release / "simulations").iterdir():
-        assert rows_digest(path) == rows_digest(again / "simulations" / path.name)
-    assert "records/config.json" not in differing
-    assert sum(name.startswith("data/") for name in sums) > 10
+    if elsewhere:  # records hold times and, of files that hold times, digests
+        assert all(name.startswith(("records/", "simulations/", "ro-crate")) for name in differing)
+        for path in (release / "simulations").iterdir():
+            assert rows_digest(path) == rows_digest(again / "simulations" / path.name)
+        assert "records/config.json" not in differing
+        assert sum(name.startswith("data/") for name in sums) > 10
+    else:  # what says how long the release took, and what holds digests of that
+        assert differing <= {"records/release.json", "ro-crate-metadata.json"}
 
 
 @pytest.mark.slow
 def test_rows_digest_is_of_the_rows_alone(tmp_path):
-    table = pq.read_table(next(iter((ROOT / "data").rglob("*.parquet")), None) or _rows(tmp_path))
+    table = pa.table({"a": np.arange(7.0), "b": list("abcdefg")})
     first, second = tmp_path / "first.parquet", tmp_path / "second.parquet"
     pq.write_table(table, first)
     pq.write_table(
@@ -353,12 +351,6 @@ def test_rows_digest_is_of_the_rows_alone(tmp_path):
     assert rows_digest(first) == rows_digest(second)
     pq.write_table(table.slice(1), second)
     assert rows_digest(first) != rows_digest(second)
-
-
-def _rows(folder):
-    path = folder / "rows.parquet"
-    pd.DataFrame({"a": np.arange(7.0), "b": list("abcdefg")}).to_parquet(path)
-    return path
 
 
 def test_no_file_names_a_place_on_this_machine(release, results):
@@ -405,72 +397,68 @@ def test_camera_file_is_taken_along_wherever_it_lies(tmp_path, place, carried_as
         write_release(config, results, tmp_path / "other", ROOT)
 
 
-@pytest.mark.parametrize(
-    ("prepare", "problem"),
-    [
-        (lambda out: (out / "data").mkdir(parents=True), "exists and is not a release"),
-        (lambda out: out.write_text("mine"), "exists and is not a release"),
+def test_folder_of_somebody_else_is_left_alone(results, tmp_path):
+    for name, prepare, problem in (
+        ("folder", lambda out: (out / "data").mkdir(parents=True), "exists and is not a release"),
+        ("file", lambda out: out.write_text("mine"), "exists and is not a release"),
         (
+            "release",
             lambda out: (out.mkdir(), (out / SUMS).write_text("")),
             "contains a release, which is not overwritten",
         ),
-    ],
-)
-def test_folder_of_somebody_else_is_left_alone(results, tmp_path, prepare, problem):
-    out = tmp_path / "out"
-    prepare(out)
-    before = sorted(tmp_path.rglob("*"))
-    with pytest.raises(BadInput, match=problem):
-        write_release(CONFIG, results, out, ROOT)
-    assert sorted(tmp_path.rglob("*")) == before
-
-
-def test_half_finished_results_are_refused(own_results, tmp_path):
-    out = tmp_path / "out"
-    (own_results / "sample/m05_f0300_r00.parquet").unlink()
-    with pytest.raises(BadInput, match=r"sample/m05_f0300_r00.parquet: no such file"):
-        write_release(CONFIG, own_results, out, ROOT)
-    assert not out.exists()
-
-
-def test_results_that_do_not_belong_together_are_refused(own_results, tmp_path):
-    path = own_results / "simulate/m05_f0300_r00.parquet"
-    pq.write_table(attach_metadata(pq.read_table(path), {"remade": True}), path)
-    with pytest.raises(BadInput, match=r"not the file that results/render/m05_f0300_r00_v00"):
-        write_release(CONFIG, own_results, tmp_path / "out", ROOT)
-
-
-def test_other_configuration_than_the_results_were_made_with_is_refused(results, tmp_path):
-    other = synthetic_chain.config(sample={"frames": 5, "test_fraction": 0.3})
-    with pytest.raises(
-        BadInput, match=r"different configuration: sample.test_fraction: 0.1 -> 0.3"
     ):
-        write_release(other, results, tmp_path / "out", ROOT)
+        prepare(tmp_path / name)
+        before = sorted(tmp_path.rglob("*"))
+        with pytest.raises(BadInput, match=problem):
+            write_release(CONFIG, results, tmp_path / name, ROOT)
+        assert sorted(tmp_path.rglob("*")) == before
 
 
-def test_results_of_other_versions_than_the_lock_has_are_refused(results, tmp_path, monkeypatch):
-    monkeypatch.setattr(assembly, "locked_versions", lambda project: {"numpy": "1.0"})
-    with pytest.raises(BadInput, match=r"was made with numpy .*; envs/requirements.lock has 1.0"):
-        write_release(CONFIG, results, tmp_path / "out", ROOT)
+def _remake(path):
+    pq.write_table(attach_metadata(pq.read_table(path), {"remade": True}), path)
 
 
-def test_results_of_another_fabric_are_refused(results, tmp_path, monkeypatch):
-    monkeypatch.setattr("slipstitch.dataset.release.currency.fabric_digest", lambda name: "0" * 64)
-    with pytest.raises(BadInput, match=r"different catalogue: catalogue\.fabrics\."):
-        write_release(CONFIG, results, tmp_path / "out", ROOT)
+REFUSED = {
+    "half finished": (
+        lambda results, _: (results / "sample/m05_f0300_r00.parquet").unlink(),
+        r"sample/m05_f0300_r00.parquet: no such file",
+    ),
+    "not belonging together": (
+        lambda results, _: _remake(results / "simulate/m05_f0300_r00.parquet"),
+        r"not the file that results/render/m05_f0300_r00_v00",
+    ),
+    "of other versions": (
+        lambda _, patch: patch(f"{ASSEMBLY}.pinned_versions", lambda path: {"numpy": "1.0"}),
+        r"was made with numpy .*; envs/requirements.lock has 1.0",
+    ),
+    "of another fabric": (
+        lambda _, patch: patch(f"{RELEASE}.currency.fabric_digest", lambda name: "0" * 64),
+        r"different catalogue: catalogue\.fabrics\.",
+    ),
+    "of other code": (
+        lambda _, patch: patch(f"{ASSEMBLY}.current_digest", lambda stage: "0" * 64),
+        "made by different code of the stage",
+    ),
+}
 
 
-def test_results_of_other_code_are_refused(results, tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        assembly, "current_digest", lambda stage: "0" * 64 if stage == "render" else ""
-    )
-    with pytest.raises(BadInput, match="made by different code of the stage"):
-        write_release(CONFIG, results, tmp_path / "out", ROOT)
+@pytest.mark.parametrize("name", REFUSED)
+def test_results_are_refused(own_results, tmp_path, monkeypatch, name):
+    prepare, problem = REFUSED[name]
+    prepare(own_results, monkeypatch.setattr)
+    with pytest.raises(BadInput, match=problem):
+        write_release(CONFIG, own_results, tmp_path / "out", ROOT)
+    assert not (tmp_path / "out").exists()
 
 
-def test_folder_that_is_no_checkout_is_refused(results, tmp_path):
-    with pytest.raises(BadInput, match="not a workflow folder of Slipstitch: no Snakefile"):
-        write_release(CONFIG, results, tmp_path / "out", tmp_path)
+def test_another_configuration_and_a_folder_that_is_no_checkout_are_refused(results, tmp_path):
+    other = synthetic_chain.config(sample={"frames": 5, "test_fraction": 0.3})
+    for config, project, problem in (
+        (other, ROOT, r"different configuration: sample.test_fraction: 0.1 -> 0.3"),
+        (CONFIG, tmp_path, "not a workflow folder of Slipstitch: no Snakefile"),
+    ):
+        with pytest.raises(BadInput, match=problem):
+            write_release(config, results, tmp_path / "out", project)
 
 
 @pytest.fixture

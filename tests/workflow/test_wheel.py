@@ -11,9 +11,9 @@ from pathlib import Path
 import pytest
 from support.workflow_copy import PARTS, ROOT
 
+from slipstitch.base.project import pinned_versions
 from slipstitch.config import load_config
 from slipstitch.design.cost import estimate_line
-from slipstitch.report.machine_checks import pinned_versions
 
 pytestmark = pytest.mark.slow
 

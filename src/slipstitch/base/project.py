@@ -28,6 +28,13 @@ def project_folder() -> Path:
     return installed if installed.is_dir() else PACKAGE.parents[1]
 
 
+def pinned_versions(requirements: Path) -> dict[str, str]:
+    """Package -> version that a file of requirements pins; empty if there is no such file."""
+    lines = requirements.read_text(encoding="utf-8").splitlines() if requirements.is_file() else []
+    pinned = (line.partition("#")[0].partition(";")[0].split("==") for line in lines)
+    return {pair[0].strip(): pair[1].strip() for pair in pinned if len(pair) == 2}
+
+
 def copy_parts(source: Path, target: Path) -> None:
     """Copy the workflow's files from folder to folder."""
     for part in PARTS:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from slipstitch.base.page.wording import size
-from slipstitch.base.project import project_folder
+from slipstitch.base.project import pinned_versions, project_folder
 
 ENVIRONMENT = project_folder() / "envs"
 REQUIREMENTS = ENVIRONMENT / "requirements.txt"
@@ -74,13 +74,6 @@ def check_python() -> Diagnosis:
     found = f"{platform.python_version()} in {sys.prefix}"
     remedy = "make setup PYTHON=/path/to/python3.11"
     return _met(sys.version_info[:2] == (3, 11), "Python", found, remedy)
-
-
-def pinned_versions(path: Path = REQUIREMENTS) -> dict[str, str]:
-    """Package -> version of a requirements file; empty if there is no such file."""
-    lines = path.read_text(encoding="utf-8").splitlines() if path.is_file() else []
-    pinned = (line.partition("#")[0].strip() for line in lines)
-    return dict(line.split("==") for line in pinned if "==" in line)
 
 
 def check_packages(path: Path = REQUIREMENTS) -> Diagnosis:

@@ -11,6 +11,7 @@ from typing import Any
 from slipstitch.base.errors import BadInput, SlipstitchError
 from slipstitch.base.page.wording import time_of_making
 from slipstitch.base.progress import progress
+from slipstitch.base.project import pinned_versions
 from slipstitch.base.provenance import (
     atomic_path,
     file_digest,
@@ -29,13 +30,13 @@ from slipstitch.dataset.release.checksums import (
     write_sums,
 )
 from slipstitch.dataset.release.currency import (
+    LOCK,
     calibrated_by,
     catalogue_changes,
     check_project,
     config_changes,
     copy_code,
     current_digest,
-    locked_versions,
     other_versions,
 )
 from slipstitch.dataset.release.description import CARD, card_of, facts_of
@@ -98,12 +99,12 @@ def check_current(
             raise BadInput(
                 f"{artefact.path}: {problem}; install these versions, or update the lock"
             )
-        changes = config_changes(artefact, config, calibrated)
-        if changes:
-            raise BadInput(f"{artefact.path}: made with a different configuration: {changes[0]}")
-        changes = catalogue_changes(artefact)
-        if changes:
-            raise BadInput(f"{artefact.path}: made with a different catalogue: {changes[0]}")
+        for what, changes in (
+            ("configuration", config_changes(artefact, config, calibrated)),
+            ("catalogue", catalogue_changes(artefact)),
+        ):
+            if changes:
+                raise BadInput(f"{artefact.path}: made with a different {what}: {changes[0]}")
 
 
 def _outside(config: Config) -> dict[str, Path]:
@@ -174,7 +175,8 @@ def write_release(
     if (results.parent / VERIFICATION).is_file():
         made.append(VERIFICATION)
     artefacts = collect(made, results.parent, _outside(config))
-    check_current(artefacts, config, results.parent, locked_versions(project))
+    lock = {name.lower(): version for name, version in pinned_versions(project / LOCK).items()}
+    check_current(artefacts, config, results.parent, lock)
     copied = [sample / name for name in {row["file"] for row in sampled}]
     copied += [results.parent / path for path, one in artefacts.items() if one.stage == "simulate"]
     _check_room(out, _ROOM * sum(path.stat().st_size for path in copied))

@@ -44,7 +44,8 @@ def sign(folder: Path, key: str | os.PathLike) -> None:
     words = ["-Y", "sign", "-q", "-n", NAMESPACE, "-f", os.fspath(key), str(folder / SUMS)]
     answer = subprocess.run([_tool(), *words], capture_output=True, text=True)
     if answer.returncode != 0 or not (folder / SIGNATURE).is_file():
-        raise SlipstitchError(f"{key}: cannot sign: {_last_line(answer.stderr)}")
+        why = answer.stderr.strip().splitlines() or ["no reason given"]
+        raise SlipstitchError(f"{key}: cannot sign: {why[-1]}")
 
 
 def verify(folder: Path, signers: Path) -> tuple[str | None, str | None]:
@@ -86,10 +87,6 @@ def verify(folder: Path, signers: Path) -> tuple[str | None, str | None]:
 
 def _run(tool: str, words: list[str], given: bytes = b"") -> subprocess.CompletedProcess:
     return subprocess.run([tool, *words], input=given, capture_output=True, timeout=60)
-
-
-def _last_line(text: str) -> str:
-    return (text.strip().splitlines() or ["no reason given"])[-1]
 
 
 SUMS = "SHA256SUMS"

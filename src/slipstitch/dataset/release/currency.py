@@ -25,21 +25,8 @@ _PACKAGE = "src/slipstitch"
 PACKAGE_SOURCES = f"{CODE}/{_PACKAGE}"
 _NEEDED = ("Snakefile", "config.yaml", "LICENSE", "CITATION.cff")
 _TOO = ("Makefile", "config", "envs", "profiles", "pyproject.toml", "rules", "workflow")
-#: Files and folders of a checkout that a release carries.
-COPIED = (*_NEEDED, *_TOO, "src/slipstitch")
 LOCK = "envs/requirements.lock"
 _IGNORED = shutil.ignore_patterns("__pycache__", "*.pyc", "*.tmp", "*.swp", "*~", ".*")
-
-
-def locked_versions(project: Path) -> dict[str, str]:
-    """Package, in lower case -> version that the project's lock names; empty without one."""
-    try:
-        text = (project / LOCK).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
-        return {}
-    lines = (line.partition(";")[0].strip() for line in text.splitlines())
-    pairs = (line.split("==") for line in lines if line.count("==") == 1 and line[0] != "#")
-    return {name.strip().lower(): version.strip() for name, version in pairs}
 
 
 def check_project(project: str | os.PathLike) -> Path:
@@ -82,13 +69,8 @@ _RESULT_PACKAGES = tuple(sorted(RESULT_PACKAGES.values()))
 
 # What sources that somebody else wrote may make of reading them.
 _NO_SOURCES = (
-    ModuleNotFoundError,
-    SyntaxError,
-    ValueError,
-    OSError,
-    RecursionError,
-    MemoryError,
-    AttributeError,
+    *(ModuleNotFoundError, SyntaxError, ValueError, AttributeError),
+    *(OSError, RecursionError, MemoryError),
 )
 
 
@@ -123,10 +105,6 @@ def other_versions(record: Mapping[str, Any], lock: Mapping[str, str]) -> Iterat
             yield f"was made with {package} {version}; {LOCK} has {locked}"
 
 
-def _plain(config: Config | SimulationSettings) -> dict[str, Any]:
-    return config.model_dump(mode="json")
-
-
 def config_changes(
     artefact: Artefact, config: Config, calibrated: Mapping[str, Mapping[str, Any]]
 ) -> list[str]:
@@ -145,8 +123,8 @@ def config_changes(
         compared.
     """
     recorded = artefact.record.get("config", {})
-    now = _plain(config)
-    now["simulation"] = _plain(calibrated_simulation(artefact, config, calibrated))
+    now = config.model_dump(mode="json")
+    now["simulation"] = calibrated_simulation(artefact, config, calibrated).model_dump(mode="json")
     changes: list[str] = []
     for section, value in recorded.items():
         if section in now and isinstance(value, Mapping) == isinstance(now[section], Mapping):
@@ -170,11 +148,11 @@ def calibrated_simulation(
 
     BadInput if the calibration's settings are none.
     """
-    told = _plain(config.simulation)
+    whole = config.model_dump(mode="json")
     for path in artefact.inputs:
-        told |= calibrated.get(path, {})
+        whole["simulation"] |= calibrated.get(path, {})
     # With the other sections: fewer frames than the default samples would be refused alone.
-    return resolve_config({**_plain(config), "simulation": told}).simulation
+    return resolve_config(whole).simulation
 
 
 def calibrated_by(artefacts: Iterable[str], place: Callable[[str], Path]) -> dict[str, dict]:

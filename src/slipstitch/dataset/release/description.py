@@ -42,10 +42,6 @@ _MOST_VALUES = 24
 _SIZES = ((1e3, "n<1K"), (1e4, "1K<n<10K"), (1e5, "10K<n<100K"), (1e6, "100K<n<1M"))
 
 
-def _size_category(images: int) -> str:
-    return next((name for bound, name in _SIZES if images < bound), "1M<n<10M")
-
-
 def data_files(
     parts: Mapping[str, Mapping[str, Sequence[str]]],
 ) -> dict[tuple[str, str], list[str] | str]:
@@ -71,12 +67,13 @@ def front_matter(
         entry = configs.setdefault(split, {"config_name": split, "data_files": []})
         entry["data_files"].append({"split": side, "path": path})
     configs[default]["default"] = True
+    size = next((name for bound, name in _SIZES if images < bound), "1M<n<10M")
     content = {
         "license": "gpl-3.0",
         "pretty_name": facts["title"],
         "task_categories": ["video-classification", "image-classification"],
         "tags": list(facts["keywords"]),
-        "size_categories": [_size_category(images)],
+        "size_categories": [size],
         "configs": list(configs.values()),
     }
     return yaml.safe_dump(content, sort_keys=False, allow_unicode=True)
@@ -154,6 +151,8 @@ def card_of(
     # The split that is loaded if none is named.
     default = "by_simulation" if "by_simulation" in sides else next(iter(sides))
     images = sum(row["frames"] for row in rows)
+    law = config.simulation.model and recorded_name(config.simulation.model, artefacts)
+    records = [one.record for one in artefacts.values() if one.provenance is not None]
     frame_columns = features_of(pq.read_schema(folder / rows[0]["shard"]))
     return render(
         _TEMPLATE,
@@ -174,22 +173,18 @@ def card_of(
         manifest_columns=[(name, described(name)) for name in rows[0]],
         frame_columns=[(name, described(name)) for name in frame_columns],
         config=config,
-        law=_law(config, artefacts),
+        law=law and carried_file(law),
         calibration=_calibration(folder, artefacts),
         verification=_verification(folder),
         solver=_solver(artefacts),
         pictures=pictures,
-        code=_commits(artefacts),
-        versions=_versions(artefacts),
+        code={
+            "commits": sorted({one["git_commit"] for one in records if one["git_commit"]}),
+            "dirty": any(one["git_dirty"] for one in records),
+        },
+        versions=_versions(records),
         example=rows[0]["video"],
     )
-
-
-def _law(config: Config, artefacts: Mapping[str, Artefact]) -> str | None:
-    """Where the release has the extended model of its simulations, if they have one."""
-    model = config.simulation.model
-    path = recorded_name(model, artefacts) if model else None
-    return carried_file(path) if path else None
 
 
 def _calibration(folder: Path, artefacts: Mapping[str, Artefact]) -> list[dict[str, Any]]:
@@ -243,18 +238,10 @@ def _solver(artefacts: Mapping[str, Artefact]) -> dict[str, Any]:
     }
 
 
-def _commits(artefacts: Mapping[str, Artefact]) -> dict[str, Any]:
-    records = [
-        artefact.provenance for artefact in artefacts.values() if artefact.provenance is not None
-    ]
-    commits = {record["git_commit"] for record in records if record["git_commit"]}
-    return {"commits": sorted(commits), "dirty": any(record["git_dirty"] for record in records)}
-
-
-def _versions(artefacts: Mapping[str, Artefact]) -> dict[str, list[str]]:
+def _versions(records: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
     """Package -> its versions, of everything behind a release."""
     found: dict[str, set[str]] = defaultdict(set)
-    for artefact in artefacts.values():
-        for package, version in artefact.record.get("versions", {}).items():
+    for record in records:
+        for package, version in record.get("versions", {}).items():
             found[package].add(version)
     return {package: sorted(versions) for package, versions in sorted(found.items())}

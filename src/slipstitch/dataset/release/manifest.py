@@ -7,6 +7,7 @@ parts, so that a split is a list of files and no image is stored twice.
 
 from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -48,11 +49,6 @@ def question(name: str) -> str:
 def _roles(row: Row) -> dict[str, str]:
     """Kind of variation -> train or test, from the columns ``<kind>_role``."""
     return {name.removesuffix("_role"): row[name] for name in row if name.endswith("_role")}
-
-
-def may_train(row: Row) -> bool:
-    """Whether nothing in a video is for testing only."""
-    return "test" not in _roles(row).values()
 
 
 def unseen_frictions(frictions: Sequence[float], share: float) -> list[float]:
@@ -101,7 +97,7 @@ def split_columns(rows: Sequence[Row], config: Config) -> dict[str, list[str | N
         Splits that have no test video or none to train on are left out.
     """
     splits: dict[str, list[str | None]] = {}
-    trains = [may_train(row) for row in rows]
+    trains = ["test" not in _roles(row).values() for row in rows]
     for column in (name for name in rows[0] if name.startswith(PREFIX)):
         splits[column.removeprefix(PREFIX)] = [
             row[column] if trained else None for row, trained in zip(rows, trains, strict=True)
@@ -119,8 +115,8 @@ def split_columns(rows: Sequence[Row], config: Config) -> dict[str, list[str | N
     frictions = unseen_frictions([row["friction"] for row in simulated], share)
     fabrics = unseen_fabrics([row["material"] for row in simulated], share, config.seed)
     for name, shows in (
-        ("unseen_friction", lambda row, of: _shows_friction(row, of, frictions)),
-        ("unseen_fabric", lambda row, of: _shows_fabric(row, of, fabrics)),
+        ("unseen_friction", partial(_shows_friction, held=frictions)),
+        ("unseen_fabric", partial(_shows_fabric, held=fabrics)),
     ):
         splits[name] = [
             _held_out(row, bool(of), shows(row, of)) if trained else None
@@ -264,29 +260,17 @@ def sampled_rows(released: Sequence[Mapping[str, Any]], names: Sequence[str]) ->
     return [{name: row[_sampled_name(name)] for name in names} for row in released]
 
 
-def released_schema(sampled: pa.Schema, splits: Sequence[str]) -> pa.Schema:
-    """Columns of the release's manifest."""
-    fields = [pa.field(_sampled_name(column.name), column.type) for column in sampled]
-    fields += [pa.field(PREFIX + name, pa.string()) for name in splits]
-    fields += [("part", pa.string()), ("shard", pa.string()), ("first_row", pa.int64())]
-    return pa.schema(fields)
-
-
-def notes_of(
-    rows: Sequence[Mapping[str, Any]], sampled: pa.Schema, splits: Sequence[str]
-) -> dict[str, Any]:
-    """What the release's manifest says of itself."""
-    return {
-        "dataset_digest": dataset_digest(rows),
-        "sampled_columns": sampled.names,
-        "splits": {name: question(name) for name in splits},
-    }
-
-
 def write_manifest(
     rows: Sequence[Mapping[str, Any]], sampled: pa.Schema, splits: Sequence[str], folder: Path
 ) -> None:
     """Write ``manifest.parquet``; nothing in it differs between equal runs."""
-    table = pa.Table.from_pylist(list(rows), schema=released_schema(sampled, splits))
-    notes = notes_of(rows, sampled, splits)
+    fields = [pa.field(_sampled_name(column.name), column.type) for column in sampled]
+    fields += [pa.field(PREFIX + name, pa.string()) for name in splits]
+    fields += [("part", pa.string()), ("shard", pa.string()), ("first_row", pa.int64())]
+    table = pa.Table.from_pylist(list(rows), schema=pa.schema(fields))
+    notes = {
+        "dataset_digest": dataset_digest(rows),
+        "sampled_columns": sampled.names,
+        "splits": {name: question(name) for name in splits},
+    }
     pq.write_table(attach_metadata(table, notes), folder / MANIFEST, compression="zstd")

@@ -28,13 +28,7 @@ from slipstitch.base.provenance import file_digest
 from slipstitch.dataset.release.checksums import files_below
 from slipstitch.dataset.release.currency import CODE, SNAKEFILE
 from slipstitch.dataset.release.manifest import MANIFEST, described
-from slipstitch.dataset.release.records import (
-    CRATE,
-    RELEASE_RECORD,
-    Artefact,
-    in_order,
-    record_file,
-)
+from slipstitch.dataset.release.records import CRATE, RELEASE_RECORD, Artefact, record_file
 from slipstitch.dataset.release.shards import FOLDER
 
 VIDEOS, FRAMES = "videos", "frames"
@@ -57,16 +51,15 @@ def _field(record_set: str, column: pa.Field, source: dict[str, str]) -> mlc.Fie
     if pa.types.is_struct(column.type):  # an image as Hugging Face datasets lays it out
         transforms = [mlc.Transform(json_path="bytes")]
         kind = mlc.DataType.IMAGE_OBJECT
-    references = None
-    if record_set == FRAMES and column.name == "video":
-        references = mlc.Source(field=f"{VIDEOS}/video")
+    of_video = record_set == FRAMES and column.name == "video"
+    more = {"references": mlc.Source(field=f"{VIDEOS}/video")} if of_video else {}
     return mlc.Field(
         id=f"{record_set}/{column.name}",
         name=column.name,
         description=described(column.name),
         data_types=[kind],
         source=mlc.Source(**source, extract=extract, transforms=transforms),
-        **({"references": references} if references else {}),
+        **more,
     )
 
 
@@ -95,25 +88,18 @@ def croissant(folder: Path, facts: Mapping[str, Any]) -> mlc.Metadata:
     ]
     sets = [
         mlc.RecordSet(
-            id=VIDEOS,
-            name=VIDEOS,
-            description="The videos",
-            key=[f"{VIDEOS}/video"],
-            fields=[
-                _field(VIDEOS, column, {"file_object": MANIFEST})
-                for column in pq.read_schema(manifest)
-            ],
-        ),
-        mlc.RecordSet(
-            id=FRAMES,
-            name=FRAMES,
-            description="The images of the videos, in order",
-            fields=[
-                _field(FRAMES, column, {"file_set": _SHARDS})
-                for column in pq.read_schema(shards[0])
-            ],
-        ),
-    ]
+            id=name,
+            name=name,
+            description=description,
+            fields=[_field(name, column, source) for column in pq.read_schema(path)],
+            **key,
+        )
+        for name, description, path, source, key in (
+            (VIDEOS, "The videos", manifest, {"file_object": MANIFEST},
+             {"key": [f"{VIDEOS}/video"]}),
+            (FRAMES, "The images of the videos, in order", shards[0], {"file_set": _SHARDS}, {}),
+        )
+    ]  # fmt: skip
     return mlc.Metadata(
         name=facts["name"],
         description=facts["description"],
@@ -151,9 +137,19 @@ _CONTEXT = "https://w3id.org/ro/terms/workflow-run/context"
 _TYPES = {".parquet": "application/vnd.apache.parquet", ".cff": "text/yaml", ".smk": "text/plain"}
 
 
-def _media_type(name: str) -> str:
-    suffix = Path(name).suffix
-    return _TYPES.get(suffix) or mimetypes.guess_type(name)[0] or "text/plain"
+def _entity(crate: ROCrate, identity: str, kind: str, **properties: Any) -> ContextEntity:
+    """Add something that is no file of the release."""
+    return crate.add(ContextEntity(crate, identity, {"@type": kind, **properties}))
+
+
+def _file(crate: ROCrate, folder: Path, name: str) -> File:
+    guessed = _TYPES.get(Path(name).suffix) or mimetypes.guess_type(name)[0]
+    properties = {
+        "contentSize": str((folder / name).stat().st_size),
+        "encodingFormat": guessed or "text/plain",
+        "sha256": file_digest(folder / name),
+    }
+    return crate.add(File(crate, dest_path=name, properties=properties))
 
 
 def crate_text(
@@ -163,7 +159,7 @@ def crate_text(
     record: Mapping[str, Any],
 ) -> str:
     """Text of ``ro-crate-metadata.json``, over everything that was in `folder` before it."""
-    artefacts = in_order(artefacts) | {".": Artefact(".", "", provenance=dict(record))}
+    artefacts = {**artefacts, ".": Artefact(".", "", provenance=dict(record))}
     crate = ROCrate(version="1.1")  # which the profiles are based on
     crate.metadata.extra_contexts.append(_CONTEXT)  # has sha256
     root = crate.root_dataset
@@ -182,26 +178,23 @@ def crate_text(
         },
     )
     root["conformsTo"] = [
-        crate.add(ContextEntity(crate, url, {"@type": "CreativeWork", **profile}))
-        for url, profile in PROFILES.items()
+        _entity(crate, url, "CreativeWork", **profile) for url, profile in PROFILES.items()
     ]
-    entities = {
-        name: crate.add(
-            File(
-                crate,
-                dest_path=name,
-                properties={
-                    "contentSize": str((folder / name).stat().st_size),
-                    "encodingFormat": _media_type(name),
-                    "sha256": file_digest(folder / name),
-                },
-            )
-        )
+    entities: dict[str, Any] = {
+        name: _file(crate, folder, name)
         for name in files_below(folder)
         if name not in (SNAKEFILE, CRATE, RELEASE_RECORD) and not name.startswith(f"{CODE}/src")
     }
     crate.add_dataset(dest_path=f"{CODE}/src", properties={"name": "Sources of slipstitch"})
-    entities |= _between(crate, artefacts)
+    # Files between the jobs, which the records of the release describe.
+    entities |= {
+        path: _entity(
+            crate, f"#{path}", "CreativeWork", name=path, sha256=artefact.sha256,
+            subjectOf={"@id": record_file(path)},
+        )
+        for path, artefact in artefacts.items()
+        if path != "."
+    }  # fmt: skip
     actions = [
         _action(crate, artefact, entities)
         for artefact in artefacts.values()
@@ -218,61 +211,31 @@ def crate_text(
     return json.dumps(crate.metadata.generate(), indent=1, ensure_ascii=False) + "\n"
 
 
-def _between(crate: ROCrate, artefacts: Mapping[str, Artefact]) -> dict[str, ContextEntity]:
-    """Files between the jobs, which the records of the release describe."""
-    return {
-        path: crate.add(
-            ContextEntity(
-                crate,
-                f"#{path}",
-                {
-                    "@type": "CreativeWork",
-                    "name": path,
-                    "sha256": artefact.sha256,
-                    "subjectOf": {"@id": record_file(path)},
-                },
-            )
-        )
-        for path, artefact in artefacts.items()
-        if path != "."
-    }
-
-
 def _organised(crate: ROCrate, main, whole, actions: list):
     """Snakemake's part: the workflow's steps, and each job as the execution of one."""
     main["hasPart"] = list(
         {action["instrument"].id: action["instrument"] for action in actions}.values()
     )
     steps: dict[str, ContextEntity] = {}
-    for tool in main["hasPart"]:
-        properties = {
-            "@type": "HowToStep",
-            "name": tool["name"],
-            "position": str(len(steps) + 1),
-            "workExample": tool,
-        }
-        identity = f"{SNAKEFILE}#{tool.id.removeprefix('#')}"
-        steps[tool.id] = crate.add(ContextEntity(crate, identity, properties))
+    for place, tool in enumerate(main["hasPart"], 1):
+        steps[tool.id] = _entity(
+            crate, f"{SNAKEFILE}#{tool.id.removeprefix('#')}", "HowToStep",
+            name=tool["name"], position=str(place), workExample=tool,
+        )  # fmt: skip
     main["step"] = list(steps.values())
-    controls = []
-    for action in actions:
-        properties = {
-            "@type": "ControlAction",
-            "name": f"start of {action.id.removeprefix('#job/')}",
-            "instrument": steps[action["instrument"].id],
-            "object": action,
-        }
-        identity = action.id.replace("#job/", "#control/")
-        controls.append(crate.add(ContextEntity(crate, identity, properties)))
-    engine = {"@type": "SoftwareApplication", "name": "Snakemake", "url": _ENGINE}
-    properties = {
-        "@type": "OrganizeAction",
-        "name": "Run of Snakemake",
-        "instrument": crate.add(ContextEntity(crate, _ENGINE, engine)),
-        "object": controls,
-        "result": whole,
-    }
-    return crate.add(ContextEntity(crate, "#organize", properties))
+    controls = [
+        _entity(
+            crate, action.id.replace("#job/", "#control/"), "ControlAction",
+            name=f"start of {action.id.removeprefix('#job/')}",
+            instrument=steps[action["instrument"].id], object=action,
+        )
+        for action in actions
+    ]  # fmt: skip
+    engine = _entity(crate, _ENGINE, "SoftwareApplication", name="Snakemake", url=_ENGINE)
+    return _entity(
+        crate, "#organize", "OrganizeAction",
+        name="Run of Snakemake", instrument=engine, object=controls, result=whole,
+    )  # fmt: skip
 
 
 def _shards(entities: Mapping[str, Any]) -> list:
@@ -301,19 +264,10 @@ def _action(crate: ROCrate, artefact: Artefact, entities: Mapping[str, Any]):
 def _tool(crate: ROCrate, stage: str, record: Mapping[str, Any]):
     """The stage as software, one entity for each state of its code."""
     identity = f"#stage/{stage}/{record['code_digest'][:12]}"
-    known = crate.get(identity)
-    if known is not None:
-        return known
-    return crate.add(
-        ContextEntity(
-            crate,
-            identity,
-            {
-                "@type": "SoftwareApplication",
-                "name": f"slipstitch {stage}",
-                "softwareVersion": record["versions"]["slipstitch"],
-                "sha256": record["code_digest"],
-                "identifier": record["git_commit"] or "unknown commit",
-            },
-        )
-    )
+    return crate.get(identity) or _entity(
+        crate, identity, "SoftwareApplication",
+        name=f"slipstitch {stage}",
+        softwareVersion=record["versions"]["slipstitch"],
+        sha256=record["code_digest"],
+        identifier=record["git_commit"] or "unknown commit",
+    )  # fmt: skip

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
+from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import file_digest, read_metadata, read_parquet, read_provenance
@@ -49,6 +50,8 @@ class Artefact:
         Its record; None for a file that no stage wrote.
     """
 
+    __pydantic_config__ = ConfigDict(extra="forbid")
+
     path: str
     sha256: str
     rows_sha256: str | None = None
@@ -83,27 +86,17 @@ class Artefact:
 
 def rows_digest(path: str | os.PathLike) -> str:
     """SHA-256 of a Parquet file's rows, whatever its metadata, row groups and compression."""
-    return table_digest(read_parquet(path))
-
-
-def table_digest(table: pa.Table) -> str:
-    """SHA-256 of a table's rows, whatever its metadata and chunks."""
-    table = table.replace_schema_metadata(None)
-    sink = hashlib.sha256()
-    sink.update(table.schema.to_string().encode())
-    for name in table.column_names:
-        _update(sink, table.column(name))
+    table = read_parquet(path).replace_schema_metadata(None)
+    sink = hashlib.sha256(table.schema.to_string().encode())
+    for column in table.columns:
+        # An IPC stream of a freshly combined column does not depend on how the file was chunked.
+        chunks = column.chunks or [pa.array([], column.type)]
+        batch = pa.record_batch([pa.concat_arrays(chunks)], names=["column"])
+        stream = pa.BufferOutputStream()
+        with pa.ipc.new_stream(stream, batch.schema) as writer:
+            writer.write_batch(batch)
+        sink.update(stream.getvalue())
     return sink.hexdigest()
-
-
-def _update(sink, column: pa.ChunkedArray) -> None:
-    # An IPC stream of a freshly combined column does not depend on how the file was chunked.
-    combined = pa.concat_arrays(column.chunks) if column.num_chunks else pa.array([], column.type)
-    stream = pa.BufferOutputStream()
-    batch = pa.record_batch([combined], names=["column"])
-    with pa.ipc.new_stream(stream, batch.schema) as writer:
-        writer.write_batch(batch)
-    sink.update(stream.getvalue())
 
 
 def read_artefact(path: str, place: Path) -> Artefact:
@@ -185,23 +178,6 @@ def collect(start: Iterable[str], root: Path, outside: Mapping[str, Path]) -> di
     return found
 
 
-def in_order(artefacts: Mapping[str, Artefact]) -> dict[str, Artefact]:
-    """The same, inputs before what was made from them, whatever order they came in."""
-    found: dict[str, Artefact] = {}
-
-    def visit(path: str) -> None:
-        if path in artefacts and path not in waiting:
-            waiting.add(path)
-            for name in sorted(artefacts[path].inputs):
-                visit(name)
-            found[path] = artefacts[path]
-
-    waiting: set[str] = set()
-    for path in sorted(artefacts):
-        visit(path)
-    return found
-
-
 def carried_file(path: str) -> str:
     """Location of the artefact `path` in a release, if included."""
     if path.startswith(_SIMULATE):
@@ -231,23 +207,26 @@ def write_record(artefact: Artefact, folder: Path) -> None:
     target.write_text(text + "\n", encoding="utf-8")
 
 
+class _Provenance(BaseModel):
+    """What every record of a stage has; other entries as they are."""
+
+    stage: str
+    inputs: dict[str, Any]
+    config: dict[str, Any]
+    code_digest: str
+
+
+_RECORD = TypeAdapter(Artefact)
+
+
 def read_record(path: Path) -> Artefact:
     """A record of a release; ValueError if it is no record; the message says why."""
-    content = json.loads(path.read_text(encoding="utf-8"))
-    if not isinstance(content, Mapping):
-        raise ValueError("not a record: not a mapping")
     try:
-        artefact = Artefact(**content)
-    except TypeError:
-        raise ValueError("not a record: wrong keys") from None
-    kinds = {"path": str, "sha256": str, "metadata": dict}
-    for name, kind in kinds.items():
-        if not isinstance(getattr(artefact, name), kind):
-            raise ValueError(f"not a record: {name} is not {kind.__name__}")
-    record = artefact.provenance
-    if record is not None:
-        kinds = {"stage": str, "inputs": dict, "config": dict, "code_digest": str}
-        for name, kind in kinds.items():
-            if not isinstance(record, dict) or not isinstance(record.get(name), kind):
-                raise ValueError(f"not a record: provenance has no {name}")
+        artefact = _RECORD.validate_python(json.loads(path.read_text(encoding="utf-8")))
+        if artefact.provenance is not None:
+            _Provenance.model_validate(artefact.provenance)
+    except ValidationError as error:
+        problem = error.errors()[0]
+        where = ".".join(map(str, problem["loc"])) or "content"
+        raise ValueError(f"not a record: {where}: {problem['msg']}") from None
     return artefact
