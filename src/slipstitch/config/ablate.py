@@ -1,11 +1,11 @@
 """Settings of the ablate stage. Pydantic and the standard library only."""
 
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
-from pydantic import BaseModel, Field, ValidationError, field_validator
+from pydantic import AfterValidator, BaseModel, Field, ValidationError
 
 from slipstitch.config.instrument import InstrumentSettings
-from slipstitch.config.section import Section, Seeds
+from slipstitch.config.section import Section, Seeds, once
 from slipstitch.config.train import TrainSettings
 
 Question = Literal["diversity", "conditioning", "schedule", "initialisation", "floors"]
@@ -18,28 +18,49 @@ VARIANTS: dict[str, dict[str, tuple[str, ...]]] = {
     "initialisation": {"lrcn": ("he", "glorot", "pytorch")},
     "floors": dict.fromkeys(("lrcn", "instrument"), ("matte", "mixed")),
 }
-# What a variant sets itself.
-_OWN_TRAIN = ("seeds", "splits", "epochs_per_cycle")
-_OWN_INSTRUMENT = ("seeds", "epochs")
+
+
+def _overrides(model: type[BaseModel], own: tuple[str, ...]) -> AfterValidator:
+    """Make a check that changes fit a section; those of `own` are the ablation's."""
+
+    def check(changes: dict[str, Any]) -> dict[str, Any]:
+        for key in own:
+            if key in changes:
+                raise ValueError(f"{key} is set by the ablation itself")
+        try:
+            model.model_validate(changes)
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(map(str, first["loc"]))
+            raise ValueError(f"{where}: {first['msg']}") from None
+        return changes
+
+    return AfterValidator(check)
 
 
 class AblateSettings(Section):
     """Questions, networks and budget."""
 
-    questions: list[Question] | None = Field(None, min_length=1)
+    questions: Annotated[list[Question] | None, once("named twice")] = Field(None, min_length=1)
     """questions to answer; null: all that the dataset can answer"""
     seeds: Seeds = [0, 1, 2]
     """seeds; every variant is trained once per seed"""
-    networks: list[Literal["lrcn", "instrument"]] = Field(["lrcn", "instrument"], min_length=1)
+    networks: Annotated[list[Literal["lrcn", "instrument"]], once("named twice")] = Field(
+        ["lrcn", "instrument"], min_length=1
+    )
     """networks; the instrument is used only for diversity and floors, the other choices do not
     apply to it"""
     passes: int = Field(30, ge=1)
     """passes through the training videos, for every variant of an LRCN"""
     instrument_passes: int = Field(50, ge=1)
     """the same for an instrument"""
-    train: dict[str, Any] = Field(default_factory=dict)
+    train: Annotated[
+        dict[str, Any], _overrides(TrainSettings, ("seeds", "splits", "epochs_per_cycle"))
+    ] = Field(default_factory=dict)
     """overrides of keys in the section `train`, e.g. width, pixels"""
-    instrument: dict[str, Any] = Field(default_factory=dict)
+    instrument: Annotated[dict[str, Any], _overrides(InstrumentSettings, ("seeds", "epochs"))] = (
+        Field(default_factory=dict)
+    )
     """overrides of keys in the section `instrument`"""
 
     @property
@@ -58,34 +79,3 @@ class AblateSettings(Section):
             for variant in variants
             for seed in self.seeds
         ]
-
-    @field_validator("questions", "networks")
-    @classmethod
-    def _named_once(cls, names: list[str] | None) -> list[str] | None:
-        if names and len(set(names)) != len(names):
-            raise ValueError(f"named twice: {', '.join(names)}")
-        return names
-
-    @field_validator("train")
-    @classmethod
-    def _train_keys(cls, changes: dict[str, Any]) -> dict[str, Any]:
-        return _checked(changes, TrainSettings, _OWN_TRAIN)
-
-    @field_validator("instrument")
-    @classmethod
-    def _instrument_keys(cls, changes: dict[str, Any]) -> dict[str, Any]:
-        return _checked(changes, InstrumentSettings, _OWN_INSTRUMENT)
-
-
-def _checked(changes: dict[str, Any], model: type[BaseModel], own: tuple[str, ...]):
-    """The changes, if they fit the section that they change."""
-    for key in own:
-        if key in changes:
-            raise ValueError(f"{key} is set by the ablation itself")
-    try:
-        model.model_validate(changes)
-    except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(map(str, first["loc"]))
-        raise ValueError(f"{where}: {first['msg']}") from None
-    return changes

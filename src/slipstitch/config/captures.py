@@ -1,9 +1,11 @@
 """Settings of the captures: real ones, or surrogates. Pydantic and the standard library only."""
 
-from pydantic import Field, field_validator, model_validator
+from typing import Annotated
+
+from pydantic import Field, model_validator
 
 from slipstitch.config.catalogue import FLOORS, TEXTURES
-from slipstitch.config.section import Fabric, Section
+from slipstitch.config.section import Fabric, Section, known
 
 
 class PairSettings(Section):
@@ -11,34 +13,23 @@ class PairSettings(Section):
 
     material: Fabric
     """a fabric of the catalogue"""
-    substrate: str
+    substrate: Annotated[str, known("floor", lambda: FLOORS)]
     """a floor of the catalogue"""
     friction: float = Field(gt=0, le=3)
     """friction coefficient of the pair, off the training grid"""
-    texture: str = "chevron"
+    texture: Annotated[str, known("texture", lambda: TEXTURES)] = "chevron"
     """texture of the fabric"""
-
-    @field_validator("substrate")
-    @classmethod
-    def _floor_exists(cls, name: str) -> str:
-        if name not in FLOORS:
-            raise ValueError(f"unknown floor {name!r}; known: {', '.join(FLOORS)}")
-        return name
-
-    @field_validator("texture")
-    @classmethod
-    def _texture_exists(cls, name: str) -> str:
-        if name not in TEXTURES:
-            raise ValueError(f"unknown texture {name!r}; known: {', '.join(TEXTURES)}")
-        return name
 
 
 # Two fabrics of the demo's grid on three floors, one that is no class of it.
 _PAIRS = [
-    ("gray-interlock", "matte", 0.23, "chevron"),
-    ("royal-target", "aluminium", 0.46, "linen"),
-    ("gray-interlock", "ceramic", 0.78, "checks"),
-    ("ivory-rib-knit", "smooth-glass", 0.37, "denim"),
+    PairSettings(material=fabric, substrate=floor, friction=friction, texture=texture)
+    for fabric, floor, friction, texture in (
+        ("gray-interlock", "matte", 0.23, "chevron"),
+        ("royal-target", "aluminium", 0.46, "linen"),
+        ("gray-interlock", "ceramic", 0.78, "checks"),
+        ("ivory-rib-knit", "smooth-glass", 0.37, "denim"),
+    )
 ]
 
 
@@ -49,14 +40,7 @@ class CaptureSettings(Section):
     """captures table of a real bench; null: surrogates are generated"""
     angles: str | None = None
     """slip angles of a real bench, for rows of the table without mu_ref"""
-    pairs: list[PairSettings] = Field(
-        [
-            PairSettings(material=fabric, substrate=floor, friction=friction, texture=texture)
-            for fabric, floor, friction, texture in _PAIRS
-        ],
-        min_length=1,
-        max_length=100,
-    )
+    pairs: list[PairSettings] = Field(_PAIRS, min_length=1, max_length=100)
     """surrogates: the pairs"""
     repeats: int = Field(5, ge=1, le=99)
     """surrogates: videos of each pair"""

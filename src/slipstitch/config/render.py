@@ -1,8 +1,8 @@
 """Settings of the render stage. Pydantic and the standard library only."""
 
-from typing import Literal
+from typing import Annotated, Literal
 
-from pydantic import Field, field_validator, model_validator
+from pydantic import Field, model_validator
 
 from slipstitch.config.catalogue import (
     FLOORS,
@@ -12,7 +12,14 @@ from slipstitch.config.catalogue import (
     VIEWPOINTS,
     is_texture_file,
 )
-from slipstitch.config.section import Section
+from slipstitch.config.section import Section, known, once
+
+_of_texture = known("texture", lambda: (*TEXTURES, *TEXTURE_FAMILY), is_texture_file)
+Textures = Annotated[list[str], _of_texture, once("duplicate texture")]
+Floors = Annotated[list[str], known("floor", lambda: FLOORS), once("duplicate floor")]
+Viewpoints = Annotated[
+    list[str], known("viewpoint", lambda: VIEWPOINTS), once("duplicate viewpoint")
+]
 
 
 class AugmentationSettings(Section):
@@ -54,23 +61,23 @@ class RenderSettings(Section):
     samples: int = Field(1, ge=1, le=4096)
     """paths per pixel of the shading render, which has twice the resolution (4 times this per pixel
     of the final image)"""
-    viewpoints: list[str] = Field(["calibrated", "frontal", "side"], min_length=1)
+    viewpoints: Viewpoints = Field(["calibrated", "frontal", "side"], min_length=1)
     """viewpoints of the training data, by name; ids v00.. in this order"""
-    textures: list[str] = Field(["stripes", "tartan", "floral"], min_length=1)
+    textures: Textures = Field(["stripes", "tartan", "floral"], min_length=1)
     """cloth textures of the training data, by name, or image files; ids t00.. in this order;
     cloth_1 ... cloth_8 are drawn anew for every simulation and viewpoint"""
-    test_textures: list[str] = []
+    test_textures: Textures = []
     """textures for testing only; their ids follow those of `textures`"""
-    test_viewpoints: list[str] = []
+    test_viewpoints: Viewpoints = []
     """viewpoints for testing only; their ids follow those of `viewpoints`"""
     test_viewpoint_videos: int | None = Field(None, ge=1)
     """videos from each test viewpoint, drawn at random among simulations and training textures (the
     paper: 20); null: every simulation in every texture"""
     frames: Literal["sampled", "all"] = "sampled"
     """render only the frames that the sample stage uses, or every frame"""
-    floors: list[str] = Field(["matte"], min_length=1)
+    floors: Floors = Field(["matte"], min_length=1)
     """floors by name; each simulation draws one, with its roughness and reflectance"""
-    reflective_floors: list[str] = []
+    reflective_floors: Floors = []
     """floors of a second training set: the same simulations once more, from the training viewpoints
     in the training textures, each drawing a floor of these for every viewpoint; their ids follow
     those of `test_viewpoints`"""
@@ -82,23 +89,6 @@ class RenderSettings(Section):
     rotated from it, where that camera is; null: as in the catalogue"""
     verified_images: int = Field(6, ge=0, le=100000)
     """images of the dataset, drawn at random, that are also rendered directly"""
-
-    @field_validator("textures", "test_textures")
-    @classmethod
-    def _textures_exist(cls, names: list[str]) -> list[str]:
-        drawn = [name for name in names if not is_texture_file(name)]
-        _known(drawn, TEXTURES | dict.fromkeys(TEXTURE_FAMILY, 0), "texture")
-        return _once(names, "texture")
-
-    @field_validator("floors", "reflective_floors")
-    @classmethod
-    def _floors_exist(cls, names: list[str]) -> list[str]:
-        return _known(names, FLOORS, "floor")
-
-    @field_validator("viewpoints", "test_viewpoints")
-    @classmethod
-    def _viewpoints_exist(cls, names: list[str]) -> list[str]:
-        return _known(names, VIEWPOINTS, "viewpoint")
 
     @model_validator(mode="after")
     def _train_and_test_are_apart(self) -> "RenderSettings":
@@ -124,16 +114,3 @@ class RenderSettings(Section):
     def texture_files(self) -> list[str]:
         """Textures that are read from image files."""
         return [name for name in self.textures + self.test_textures if is_texture_file(name)]
-
-
-def _known(names: list[str], catalogue: dict, kind: str) -> list[str]:
-    for name in names:
-        if name not in catalogue:
-            raise ValueError(f"unknown {kind} {name!r}; known: {', '.join(catalogue)}")
-    return _once(names, kind)
-
-
-def _once(names: list[str], kind: str) -> list[str]:
-    if len(set(names)) != len(names):
-        raise ValueError(f"duplicate {kind}: {', '.join(names)}")
-    return names

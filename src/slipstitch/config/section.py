@@ -1,5 +1,6 @@
 """Common parts of the sections of the configuration. Pydantic and the standard library only."""
 
+from collections.abc import Callable, Collection
 from itertools import pairwise
 from typing import Annotated, Any, ClassVar
 
@@ -28,17 +29,31 @@ class RecordedSection(Section):
         return without_former_keys(cls.NAME, values)
 
 
-def _in_the_catalogue(names: tuple[str, ...]) -> tuple[str, ...]:
-    for name in names:
-        if name not in fabric_names():
-            raise ValueError(f"unknown material {name!r}; known: {', '.join(fabric_names())}")
-    return names
+def known(
+    kind: str,
+    catalogue: Callable[[], Collection[str]],
+    is_free: Callable[[str], bool] = lambda name: False,
+) -> AfterValidator:
+    """Make a check that a name, or each of several, is in a catalogue, unless it is free."""
+
+    def check(names: Any) -> Any:
+        for name in [names] if isinstance(names, str) else names:
+            if name not in catalogue() and not is_free(name):
+                raise ValueError(f"unknown {kind} {name!r}; known: {', '.join(catalogue())}")
+        return names
+
+    return AfterValidator(check)
 
 
-def _named_once(names: tuple[str, ...]) -> tuple[str, ...]:
-    if len(set(names)) != len(names):
-        raise ValueError(f"duplicate material: {', '.join(names)}")
-    return names
+def once(problem: str) -> AfterValidator:
+    """Make a check that no name is given twice; `problem` says what is wrong otherwise."""
+
+    def check(names: Any) -> Any:
+        if names and len(set(names)) != len(names):
+            raise ValueError(f"{problem}: {', '.join(names)}")
+        return names
+
+    return AfterValidator(check)
 
 
 def _increasing(frictions: tuple[float, ...]) -> tuple[float, ...]:
@@ -58,6 +73,7 @@ def _different(seeds: list[int]) -> list[int]:
 FRICTION_MAX = 10.0
 Friction = Annotated[float, Field(ge=0.0, le=FRICTION_MAX)]
 Frictions = Annotated[tuple[Friction, ...], AfterValidator(_increasing)]
-Fabric = Annotated[str, AfterValidator(lambda name: _in_the_catalogue((name,))[0])]
-Fabrics = Annotated[tuple[str, ...], AfterValidator(_in_the_catalogue), AfterValidator(_named_once)]
+_of_fabric = known("material", fabric_names)
+Fabric = Annotated[str, _of_fabric]
+Fabrics = Annotated[tuple[str, ...], _of_fabric, once("duplicate material")]
 Seeds = Annotated[list[int], Field(min_length=1), AfterValidator(_different)]
