@@ -17,6 +17,7 @@ from slipstitch.base.page.figures import new_figure, styled, svg_uri
 from slipstitch.base.page.palette import BLUE, PALE_BLUE
 from slipstitch.base.page.wording import NONE, duration
 from slipstitch.report.results import Results, Table
+from slipstitch.report.status import end_of_file
 
 STAGES = (
     "calibrate", "simulate", "convergence", "render", "sample", "train", "instrument", "evaluate",
@@ -79,12 +80,7 @@ def _last(pattern: re.Pattern[str], text: str) -> float:
 def _end_of_log(benchmark: Path) -> str:
     """The end of the log beside a benchmark file, logs/STAGE/JOB.log; empty if there is none."""
     log = benchmark.parents[2] / "logs" / benchmark.parent.name / f"{benchmark.stem}.log"
-    try:
-        with open(log, "rb") as stream:
-            stream.seek(max(0, os.path.getsize(log) - 200))
-            return stream.read().decode(errors="replace")
-    except OSError:
-        return ""
+    return end_of_file(log, 200) if log.is_file() else ""
 
 
 def _number(text: Any) -> float:

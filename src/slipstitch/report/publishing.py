@@ -55,25 +55,23 @@ def finished_files(config: Config) -> dict[str, str]:
     files = {f"evaluate/{name}": name for name in SCORES}
     files["calibrate/calibration.json"] = "calibration.json"
     files[f"sample/{MANIFEST}"] = f"dataset/{MANIFEST}"
+    of_instrument = ("instrument.safetensors", "instrument.json", "history.csv")
+    of_network = ["model.safetensors", "model.json", "history.csv"]
+    if keeps_networks_of_all_views(config.train):
+        of_network += ["all_views/model.safetensors", "all_views/model.json"]
     for split in config.train.splits:
-        models = [
-            (f"train/{split}/{network}/seed{seed}", f"{split}/{network}/seed{seed}", "model")
-            for network, seed in trainings(config.train, split)
-        ]
-        models += [
-            (f"instrument/{split}/seed{seed}", f"{split}/instrument/seed{seed}", "instrument")
-            for seed in config.instrument.seeds
-        ]
-        for folder, to, name in models:
-            kept = name == "model" and keeps_networks_of_all_views(config.train)
-            for file in (
-                *(f"{name}{WEIGHTS}", f"{name}.json", "history.csv"),
-                *(("all_views/model.safetensors", "all_views/model.json") if kept else ()),
-            ):
-                files[f"{folder}/{file}"] = f"models/{to}/{file}"
-        for file in _AVERAGE if len(config.instrument.seeds) > 1 else ():
-            to = f"models/{split}/instrument/ensemble/{file}"
-            files[f"instrument/{split}/ensemble/{file}"] = to
+        for network, seed in trainings(config.train, split):
+            folder = f"{split}/{network}/seed{seed}"
+            files |= {f"train/{folder}/{file}": f"models/{folder}/{file}" for file in of_network}
+        folders: dict[str, tuple[str, ...]] = {
+            f"seed{seed}": of_instrument for seed in config.instrument.seeds
+        }
+        if len(folders) > 1:
+            folders["ensemble"] = _AVERAGE
+        for folder, names in folders.items():
+            for file in names:
+                to = f"models/{split}/instrument/{folder}/{file}"
+                files[f"instrument/{split}/{folder}/{file}"] = to
     return files
 
 
@@ -138,7 +136,11 @@ def publish(
     with atomic_path(out) as folder:
         record = provenance_record("publish", inputs=there.values(), config=config, started=started)
         write_json(folder / "config.json", config.model_dump(mode="json"))
-        _describe_run(found, folder)
+        costs = [asdict(cost) for cost in benchmarks(found.folder, job_classes=True)]
+        write_json(folder / "cost.json", json.loads(json.dumps(costs).replace("NaN", "null")))
+        if solved := list(_simulations(found)):
+            pandas.DataFrame(solved).to_csv(folder / "simulations.csv", index=False)
+        write_json(folder / "origin.json", dict(found.provenance()))
         for to, path in there.items():
             _copy(path, folder / to, is_published(config, to))
             if path.name == MANIFEST:
@@ -146,12 +148,11 @@ def publish(
         if update:
             _keep(config, out, folder, there)
             record["inputs"] = read_provenance(out / INDEX)["inputs"] | record["inputs"]
-        files = sorted(path for path in folder.rglob("*") if path.is_file())
         index = {
             "name": config.publish.name,
             "partial": bool(missing),
             "missing": missing,
-            "files": {path.relative_to(folder).as_posix(): file_digest(path) for path in files},
+            "files": {name: file_digest(folder / name) for name in _files(folder)},
         }
         write_json(folder / INDEX, index, record)
     return index
@@ -161,7 +162,8 @@ def _gathered(
     config: Config, results: Results, kept: Mapping[str, str]
 ) -> tuple[dict[str, Path], list[str]]:
     """What is published -> the file of the results; and what of a finished run is not there."""
-    wanted = {to: results.folder / name for name, to in finished_files(config).items()}
+    names = {to: name for name, to in finished_files(config).items()}
+    wanted = {to: results.folder / name for to, name in names.items()}
     for number, dataset in enumerate(config.instrument.calibration_datasets):
         place = f"{FURTHER}{number}/{MANIFEST}"
         wanted[place] = results.folder.parent / dataset / MANIFEST
@@ -171,8 +173,7 @@ def _gathered(
         raise BadInput(f"{results.folder}: nothing of a run in it")
     for path in there.values():
         _check_file(path)
-    lacking = [to for to in wanted if to not in there and to not in kept]
-    names = {to: name for name, to in finished_files(config).items()}
+    lacking = wanted.keys() - there.keys() - kept.keys()
     return there, sorted(names.get(to, to) for to in lacking)
 
 
@@ -190,7 +191,7 @@ def _kept(config: Config, results: Results, out: Path) -> dict[str, str]:
     if manifest.is_file() and before.is_file() and file_digest(manifest) != file_digest(before):
         raise BadInput(f"{out}: published of another dataset; publish without --update")
     kept = {}
-    for to in (*finished_files(config).values(), *OPTIONAL, *_OWN, *_of_further(out)):
+    for to in (*finished_files(config).values(), *OPTIONAL, *_OWN, *_files(out, FURTHER)):
         card = (out / to).with_suffix(".json")
         if (out / to).is_file():
             kept[to] = file_digest(out / to)
@@ -199,9 +200,10 @@ def _kept(config: Config, results: Results, out: Path) -> dict[str, str]:
     return kept
 
 
-def _of_further(out: Path) -> list[str]:
-    """Files of a published folder that are of datasets of other benches."""
-    return [one.relative_to(out).as_posix() for one in (out / FURTHER).rglob("*") if one.is_file()]
+def _files(out: Path, below: str = "") -> list[str]:
+    """Files of a folder, or of one in it."""
+    there = sorted((out / below).rglob("*"))
+    return [path.relative_to(out).as_posix() for path in there if not path.is_dir()]
 
 
 def _of_run(config: Config) -> Config:
@@ -214,7 +216,7 @@ def _keep(config: Config, before: Path, folder: Path, there: Iterable[str]) -> N
     """Put into a new folder what the one before has of results that are gone."""
     known = {to: name for name, to in finished_files(config).items()}
     anew = {known.get(name) for name in there}
-    for to in (*known, *OPTIONAL, *_of_further(before)):
+    for to in (*known, *OPTIONAL, *_files(before, FURTHER)):
         if to not in there and not (folder / to).exists():
             _copy(before / to, folder / to, is_published(config, to))
     same = load_config(before / "config.json") == config
@@ -242,22 +244,22 @@ def _check_target(out: Path, results: Path) -> None:
     if not isinstance(listed, dict):
         raise BadInput(f"{out}: exists and holds no published run ({INDEX}); choose another folder")
     own = {INDEX, INDEX + SIDECAR_SUFFIX, *listed}
-    there = {path.relative_to(out).as_posix() for path in out.rglob("*") if not path.is_dir()}
-    if others := sorted(there - own):
+    if others := sorted({*_files(out)} - own):
         raise BadInput(f"{out}: also holds {others[0]}, which {INDEX} does not list; move it first")
 
 
 def _check_file(path: Path) -> None:
     """Refuse a file that cannot be read, or is not what its record or its card describes."""
     check_recorded(path)
-    if path.suffix == ".json":
-        _mapping(path)
-    elif path.suffix == ".parquet":
+    if path.suffix == ".parquet":
         read_parquet(path)
-    elif path.suffix == WEIGHTS:
-        card = _mapping(path.with_suffix(".json"))
-        if card.get("weights_sha256") != file_digest(path):
-            raise Damaged(path, f"not the weights that its card {path.stem}.json describes")
+    elif path.suffix in (".json", WEIGHTS):
+        card = path.with_suffix(".json")
+        content = read_json(card)
+        if not isinstance(content, dict) or not content:
+            raise Damaged(card, "must be a mapping, and not empty")
+        if path != card and content.get("weights_sha256") != file_digest(path):
+            raise Damaged(path, f"not the weights that its card {card.name} describes")
 
 
 def _unscored(scores: Iterable[Path], digests: Mapping[str, str]) -> list[str]:
@@ -265,7 +267,8 @@ def _unscored(scores: Iterable[Path], digests: Mapping[str, str]) -> list[str]:
 
     `digests` has the SHA-256 of every file that is published, and of weights that are not.
     """
-    there = {name: one for name, one in digests.items() if name.endswith((WEIGHTS, MANIFEST))}
+    ends = (WEIGHTS, MANIFEST)
+    there = {name: one for name, one in digests.items() if name.endswith(ends)}
     found: set[str] = set()
     for path in scores:
         if not path.is_file():
@@ -274,38 +277,26 @@ def _unscored(scores: Iterable[Path], digests: Mapping[str, str]) -> list[str]:
             inputs = (read_provenance(path).get("inputs") or {}).items()
         except FileNotFoundError:
             raise BadInput(f"{path}: has no record of what was evaluated; {_AGAIN}") from None
-        evaluated = {name: one for name, one in inputs if name.endswith((WEIGHTS, MANIFEST))}
+        evaluated = {name: one for name, one in inputs if name.endswith(ends)}
         others = sorted(name for name, one in evaluated.items() if one not in there.values())
         if others:
             raise BadInput(f"{path}: scores of another {others[0]} than is there; {_AGAIN}")
-        # Datasets of other benches calibrate; the scores are of the run's own.
-        found |= {
-            name
-            for name, one in there.items()
-            if not name.startswith(FURTHER) and one not in evaluated.values()
-        }
-    return sorted(found)
-
-
-def _mapping(path: Path) -> dict[str, Any]:
-    content = read_json(path)
-    if not isinstance(content, dict) or not content:
-        raise Damaged(path, "must be a mapping, and not empty")
-    return content
+        found |= {name for name, one in there.items() if one not in evaluated.values()}
+    # Datasets of other benches calibrate; the scores are of the run's own.
+    return sorted(name for name in found if not name.startswith(FURTHER))
 
 
 def _describe_dataset(sample: Path, folder: Path) -> None:
     """Write the digests of a dataset's files, and of what they were made from."""
     rows, digest = read_manifest(sample)
     shards = {row["file"] for row in rows}
-    there = [file for file in sorted(shards) if (sample / file).is_file()]
+    there = {file: sample / file for file in sorted(shards)}
     dataset = {
         "digest": digest,
         "videos": len(rows),
         "images": sum(row["frames"] for row in rows),
-        "files": {file: file_digest(sample / file) for file in there},
+        "files": {file: file_digest(path) for file, path in there.items() if path.is_file()},
     }
-    folder.mkdir(parents=True, exist_ok=True)
     write_json(folder / "digests.json", dataset)
     if lineage := _lineage(sample.resolve().parent, shards):
         write_json(folder / "lineage.json", lineage)
@@ -340,7 +331,11 @@ def _copy(source: Path, to: Path, published: bool = True) -> None:
         write_json(to, _without_runs(read_json(source)))
         return
     if source.suffix == ".parquet" and source.name != MANIFEST and source.is_file():
-        _copy_table(source, to)
+        columns = {one.path: one.physical_type for one in pq.read_metadata(source).schema}
+        numbers = [path for path, kind in columns.items() if kind in ("FLOAT", "DOUBLE")]
+        others = [path for path in columns if path not in numbers]
+        stored = {"use_dictionary": others, "use_byte_stream_split": numbers}
+        pq.write_table(read_parquet(source), to, compression="zstd", **stored)
     elif published and source.is_file():
         shutil.copyfile(source, to)
     # The record of a model's card and curve is that of its weights.
@@ -348,28 +343,11 @@ def _copy(source: Path, to: Path, published: bool = True) -> None:
         shutil.copyfile(record, to.with_name(record.name))
 
 
-def _copy_table(source: Path, to: Path) -> None:
-    columns = {one.path: one.physical_type for one in pq.read_metadata(source).schema}
-    numbers = [path for path, kind in columns.items() if kind in ("FLOAT", "DOUBLE")]
-    others = [path for path in columns if path not in numbers]
-    stored = {"use_dictionary": others, "use_byte_stream_split": numbers}
-    pq.write_table(read_parquet(source), to, compression="zstd", **stored)
-
-
 def _without_runs(content: Any) -> Any:
     """A structure without its entries ``runs``."""
     if isinstance(content, dict):
         return {key: _without_runs(one) for key, one in content.items() if key != "runs"}
     return [_without_runs(one) for one in content] if isinstance(content, list) else content
-
-
-def _describe_run(results: Results, folder: Path) -> None:
-    """Write what jobs and simulations cost, and the records of the stages."""
-    costs = [asdict(cost) for cost in benchmarks(results.folder, job_classes=True)]
-    write_json(folder / "cost.json", json.loads(json.dumps(costs).replace("NaN", "null")))
-    if solved := list(_simulations(results)):
-        pandas.DataFrame(solved).to_csv(folder / "simulations.csv", index=False)
-    write_json(folder / "origin.json", dict(results.provenance()))
 
 
 def _simulations(results: Results) -> Iterator[dict[str, Any]]:

@@ -293,13 +293,17 @@ def failures(folder: str | os.PathLike, runs: Sequence[Run]) -> list[tuple[Event
     return found
 
 
+def end_of_file(path: str | os.PathLike, most_bytes: int) -> str:
+    """The end of a text file."""
+    with open(path, "rb") as stream:
+        stream.seek(max(0, os.path.getsize(path) - most_bytes))
+        return stream.read().decode(errors="replace")
+
+
 def last_lines(path: str | os.PathLike, count: int = LOG_LINES) -> list[str]:
     """The last non-empty lines of a log, without control characters."""
     try:
-        with open(path, "rb") as stream:
-            size = stream.seek(0, os.SEEK_END)
-            stream.seek(max(0, size - LOG_BYTES))
-            text = stream.read().decode("utf-8", errors="replace")
+        text = end_of_file(path, LOG_BYTES)
     except OSError as error:
         return [f"(no log: {error.strerror})"]
     lines = [
