@@ -47,12 +47,7 @@ def camera_file(camera: Camera, path: Path) -> Path:
 
 
 class Bench:
-    """What one camera sees, at any time of the protocol.
-
-    Parameters
-    ----------
-    camera : Camera
-    """
+    """What one camera sees, at any time of the protocol."""
 
     def __init__(self, camera: Camera):
         columns, rows = camera.size_px
@@ -120,7 +115,6 @@ def write_video(path: Path, images, times_s, codec: str = "libx264", **options: 
         Its suffix chooses the container.
     images : iterable of ndarray (rows, columns, 3)
         Red first.
-    times_s : iterable of float
     codec, options
         Of FFmpeg.
     """

@@ -19,7 +19,6 @@ class Forger:
 
     Parameters
     ----------
-    original : path
     release : path
         Where the copy goes.
     """

@@ -13,7 +13,7 @@ import shutil
 import time
 import traceback
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -54,11 +54,13 @@ from slipstitch.learning.lrcn_model import load_model, save_model
 from slipstitch.physics.calibration.calibration import read_sweeps
 from slipstitch.physics.friction_law.extended_model import read_extended_model
 from slipstitch.physics.simulation.trajectory import read_trajectory
+from slipstitch.report.cost import benchmarks
 from slipstitch.report.results import Results
 from slipstitch.report.status import status
 from support import analytic_stage, synthetic_chain, synthetic_results
 from support.untrained import untrained_instrument
 
+Found = Iterator[tuple[str, Path, Callable[[], object]]]
 TIME_LIMIT_S = 10.0
 MEMORY_LIMIT_BYTES = 2 * 2**30
 
@@ -76,16 +78,7 @@ ODD = [None, True, -1, 0, 1e308, -1e308, 10**30, "", "x", "nan", "\0", [], {}, [
 
 @dataclass(frozen=True)
 class Reader:
-    """A reader under test.
-
-    Attributes
-    ----------
-    name : str
-    target : path
-        The file that is spoilt.
-    read : callable
-        Reads it, in the folder where it lies, with whatever belongs to it.
-    """
+    """A reader under test: `read` reads `target`, which is spoilt, with whatever belongs to it."""
 
     name: str
     target: Path
@@ -131,13 +124,11 @@ def structured(content: bytes, chance: random.Random) -> bytes | None:
             if isinstance(item, dict | list) and len(places) < 5000:
                 walk(item)
 
-    if not isinstance(data, dict | list):
-        return None
-    walk(data)
+    if isinstance(data, dict | list):
+        walk(data)
     if not places:
         return None
-    holder, key = chance.choice(places)
-    odd = chance.choice(ODD)
+    (holder, key), odd = chance.choice(places), chance.choice(ODD)
     if isinstance(holder, dict) and chance.random() < 0.3:
         del holder[key]
     else:
@@ -161,57 +152,48 @@ def readers(folder: Path) -> list[Reader]:
     synthetic_results.write_benchmarks(config, results)
     others = folder / "others"
     others.mkdir()
-    found: list[Reader] = []
-
-    def add(name: str, path: Path, read: Callable[[], object]) -> None:
-        found.append(Reader(name, path, read))
-
-    _configurations(add, others)
-    _tables(add, config, results)
-    _networks(add, config, others)
-    _pictures(add, others)
-    _measuring(add, others)
-    _cases(add, others)
-    _report(add, config, results)
-    _status(add, results)
-    _release(add, config, results, folder)
-    return found
+    found = [
+        *_configurations(others), *_tables(config, results), *_networks(config, others),
+        *_pictures(others), *_measuring(others), *_cases(others), *_report(config, results),
+        *_status(results), *_release(config, folder),
+    ]  # fmt: skip
+    return [Reader(*one) for one in found]
 
 
-def _configurations(add, folder: Path) -> None:
+def _configurations(folder: Path) -> Found:
     path = folder / "config.yaml"
     shutil.copy(Path(__file__).parents[2] / "config.yaml", path)
-    add("configuration", path, lambda: load_config(path))
+    yield "configuration", path, lambda: load_config(path)
     json_path = folder / "config.json"
     json_path.write_text(load_config(path).model_dump_json())
-    add("configuration in JSON", json_path, lambda: load_config(json_path))
-    add("words", path, lambda: resolve_config(read_mapping(path), words=True))
+    yield "configuration in JSON", json_path, lambda: load_config(json_path)
+    yield "words", path, lambda: resolve_config(read_mapping(path), words=True)
     model = folder / "model.yaml"
     law = {"coefficient": 0.4, "mechanisms": {"adhesion": {"adhesion": 0.8}}}
     bench = {"tilt_along_rad": 0.02, "mass_error": 0.1, "camera_scale": 1.02}
     content = {"causes": ["adhesion", "tilt"], "friction_law": {"face": law}, "bench": bench}
     model.write_text(yaml.safe_dump(content))
     read_extended_model(model)
-    add("extended model", model, lambda: read_extended_model(model))
+    yield "extended model", model, lambda: read_extended_model(model)
 
 
-def _tables(add, config, results: Path) -> None:
+def _tables(config, results: Path) -> Found:
     trajectory = sorted((results / "simulate").glob("*.parquet"))[0]
     shard = sorted((results / "render").glob("m*.parquet"))[0]
     sample, frames = results / "sample", sampled_frames(config.simulation.frames, 5)
-    add("trajectory", trajectory, lambda: read_trajectory(trajectory))
-    add("record of a trajectory", trajectory, lambda: record_if_any(trajectory))
-    add("image shard", shard, lambda: read_shard(shard, frames))
-    add("shard for previews", shard, lambda: decoded(read_images(shard)))
-    add("manifest", sample / "manifest.parquet", lambda: read_manifest(sample))
-    add("dataset", sorted(sample.glob("m0*.parquet"))[0], lambda: read_videos(sample))
-    add("manifest for training", sample / "manifest.parquet", lambda: read_videos(sample))
+    yield "trajectory", trajectory, lambda: read_trajectory(trajectory)
+    yield "record of a trajectory", trajectory, lambda: record_if_any(trajectory)
+    yield "image shard", shard, lambda: read_shard(shard, frames)
+    yield "shard for previews", shard, lambda: decoded(read_images(shard))
+    yield "manifest", sample / "manifest.parquet", lambda: read_manifest(sample)
+    yield "dataset", sorted(sample.glob("m0*.parquet"))[0], lambda: read_videos(sample)
+    yield "manifest for training", sample / "manifest.parquet", lambda: read_videos(sample)
     calibration = results / "calibrate/calibration.json"
-    add("calibration", calibration, lambda: calibrated_settings(calibration))
+    yield "calibration", calibration, lambda: calibrated_settings(calibration)
     sweep = results / "sweep.json"
     sweep.write_text(json.dumps([{"settings": {"time_step_s": 0.1}, "runs": []}]))
-    add("sweep", sweep, lambda: read_sweeps([sweep], config))
-    add("artefact of a release", shard, lambda: read_artefact("results/render/x.parquet", shard))
+    yield "sweep", sweep, lambda: read_sweeps([sweep], config)
+    yield "artefact of a release", shard, lambda: read_artefact("results/render/x.parquet", shard)
 
 
 def record_if_any(path: Path) -> None:
@@ -225,7 +207,7 @@ def decoded(images: dict) -> None:
             decode_image(data, "image")
 
 
-def _networks(add, config, folder: Path) -> None:
+def _networks(config, folder: Path) -> Found:
     train = config.train.model_copy(update={"channels": [2, 4], "convolutions": [1, 1]})
     network = LRCN(train, 2, 16)
     card = {
@@ -236,29 +218,29 @@ def _networks(add, config, folder: Path) -> None:
     models = folder / "models/by_video/friction_baseline/seed0"
     models.mkdir(parents=True)
     save_model(network, card, models)
-    add("weights", models / "model.safetensors", lambda: load_model(models))
-    add("model card", models / "model.json", lambda: load_model(models))
-    add("models of a folder", models / "model.json", lambda: Trained(folder / "models").load())
+    yield "weights", models / "model.safetensors", lambda: load_model(models)
+    yield "model card", models / "model.json", lambda: load_model(models)
+    yield "models of a folder", models / "model.json", lambda: Trained(folder / "models").load()
     optimizer = torch.optim.Adadelta(network.parameters())
     path = folder / "checkpoint.safetensors"
     save_checkpoint(path, {"a": 1}, Progress(), network, optimizer, start_clock())
-    add("checkpoint", path, lambda: load_checkpoint(path, {"a": 1}, network, optimizer))
+    yield "checkpoint", path, lambda: load_checkpoint(path, {"a": 1}, network, optimizer)
 
 
-def _pictures(add, folder: Path) -> None:
+def _pictures(folder: Path) -> Found:
     image = np.random.default_rng(0).integers(0, 255, (64, 64, 3), np.uint8)
     for suffix in ("png", "jpg", "bmp", "tiff", "webp"):
         path = folder / f"picture.{suffix}"
         cv2.imwrite(str(path), image)
-        add(f"picture ({suffix})", path, lambda path=path: board.read_image(path))
-        add(f"texture ({suffix})", path, lambda path=path: read_texture(path))
+        yield f"picture ({suffix})", path, lambda path=path: board.read_image(path)
+        yield f"texture ({suffix})", path, lambda path=path: read_texture(path)
     for suffix, code in (("mp4", "mp4v"), ("avi", "MJPG")):
         path = folder / f"film.{suffix}"
         film = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*code), 5.0, (64, 64))
         for _ in range(5):
             film.write(image)
         film.release()
-        add(f"film ({suffix})", path, lambda path=path: list(board._frames(path)))
+        yield f"film ({suffix})", path, lambda path=path: list(board._frames(path))
     camera = folder / "camera.json"
     whole = {
         "format": FORMAT, "image_size_px": [640, 480], "focal_px": [600.0, 600.0],
@@ -267,10 +249,10 @@ def _pictures(add, folder: Path) -> None:
     }  # fmt: skip
     camera.write_text(json.dumps(whole))
     read_camera_file(camera)
-    add("camera file", camera, lambda: read_camera_file(camera))
+    yield "camera file", camera, lambda: read_camera_file(camera)
 
 
-def _measuring(add, folder: Path) -> None:
+def _measuring(folder: Path) -> Found:
     """What `measure` and `capture` read: films, instruments, tables."""
     lens = analytic_stage.lens_camera(*pose(VIEWPOINTS["calibrated"]), size=(160, 120))
     bench = analytic_stage.Bench(lens)
@@ -285,14 +267,9 @@ def _measuring(add, folder: Path) -> None:
         analytic_stage.write_video(film, images, times)
         read_stage_video(film, lens, schedule, start_s=0.5)
         for name, start_s in (("from a stated start", 0.5), ("start found", None)):
-            add(
-                f"film of a stage ({suffix}, {name})",
-                film,
-                lambda film=film, start_s=start_s: read_stage_video(
-                    film, lens, schedule, start_s=start_s
-                ),
-            )
-    _instruments(add, folder / "instrument")
+            read = partial(read_stage_video, film, lens, schedule, start_s=start_s)
+            yield f"film of a stage ({suffix}, {name})", film, read
+    yield from _instruments(folder / "instrument")
     columns = "video,material,substrate,repeat,mu_ref,mu_ref_error,reflective,camera"
     captures, reference = folder / "captures.csv", folder / "reference.csv"
     analytic_stage.camera_file(lens, folder / "bench.json")
@@ -302,15 +279,15 @@ def _measuring(add, folder: Path) -> None:
     )
     reference.write_text("material,substrate,mu,error\ndenim,glass,0.31,0.02\n")
     read_captures(captures, reference)
-    add("captures", captures, lambda: read_captures(captures))
-    add("captures with references", captures, lambda: read_captures(captures, reference))
-    add("references", reference, lambda: read_references(reference))
+    yield "captures", captures, lambda: read_captures(captures)
+    yield "captures with references", captures, lambda: read_captures(captures, reference)
+    yield "references", reference, lambda: read_references(reference)
     angles = folder / "angles.csv"
     rows = [f"denim,glass,p{n},warp,{n},{17 + n / 3:.2f},0.2" for n in range(4)]
     title = "material,substrate,position,orientation,repeat,angle_deg,bench_error_deg"
     angles.write_text("\n".join([title, *rows]) + "\n")
     estimated(angles)
-    add("slip angles", angles, lambda: estimated(angles))
+    yield "slip angles", angles, lambda: estimated(angles)
 
 
 def estimated(angles: Path) -> None:
@@ -318,21 +295,21 @@ def estimated(angles: Path) -> None:
         estimate(one)
 
 
-def _instruments(add, folder: Path) -> None:
+def _instruments(folder: Path) -> Found:
     folder.mkdir()
     instrument = untrained_instrument(frames=4, channels=[4, 4], features=8)
     save_instrument(instrument, folder)
     for name in ("instrument.safetensors", "instrument.json"):
-        add(f"instrument, {name}", folder / name, lambda: load_instrument(folder))
+        yield f"instrument, {name}", folder / name, lambda: load_instrument(folder)
 
 
-def _cases(add, folder: Path) -> None:
+def _cases(folder: Path) -> Found:
     cases = Path(__file__).parents[2] / "data/cases"
     for case in sorted(path for path in cases.iterdir() if path.is_dir()):
         copy = folder / case.name
         shutil.copytree(case, copy)
         for path in sorted(path for path in copy.rglob("*") if path.is_file()):
-            add(f"case {path.relative_to(folder)}", path, lambda copy=copy: read_case(copy))
+            yield f"case {path.relative_to(folder)}", path, lambda copy=copy: read_case(copy)
     verdict = folder / "verdict.json"
     model = {
         "causes": ["tilt"], "parameters": ["mu"], "values": [0.3], "covariance": [[0.01]],
@@ -340,29 +317,26 @@ def _cases(add, folder: Path) -> None:
     }  # fmt: skip
     verdict.write_text(json.dumps({"models": {"null": {**model, "causes": []}, "extended": model}}))
     read_verdict(verdict)
-    add("verdict", verdict, lambda: read_verdict(verdict))
+    yield "verdict", verdict, lambda: read_verdict(verdict)
 
 
-def _report(add, config, results: Path) -> None:
+def _report(config, results: Path) -> Found:
     found = Results(results, config)
     evaluate = results / "evaluate"
-    add("metrics", evaluate / "metrics.json", partial(found.json, "evaluate", "metrics.json"))
-    add("details", evaluate / "details.json", partial(found.json, "evaluate", "details.json"))
-    add("predictions", evaluate / "predictions.parquet", found.predictions)
+    for name in ("metrics.json", "details.json"):
+        yield name, evaluate / name, partial(found.json, "evaluate", name)
+    yield "predictions", evaluate / "predictions.parquet", found.predictions
     history = sorted((results / "train").rglob("history.csv"))[0]
-    add("training history", history, found.histories)
+    yield "training history", history, found.histories
     table = sorted((results / "benchmarks").rglob("*.tsv"))[0]
-    add("benchmark table", table, found.benchmarks)
-    add("manifest for the report", results / "sample/manifest.parquet", found.manifest)
+    yield "benchmark table", table, lambda: benchmarks(results)
+    yield "manifest for the report", results / "sample/manifest.parquet", found.manifest
     calibration = results / "calibrate/calibration.json"
-    add(
-        "calibration for the report",
-        calibration,
-        partial(found.json, "calibrate", calibration.name),
-    )
+    read = partial(found.json, "calibrate", calibration.name)
+    yield "calibration for the report", calibration, read
 
 
-def _status(add, results: Path) -> None:
+def _status(results: Path) -> Found:
     folder = results / "status"
     folder.mkdir()
     job = {
@@ -378,18 +352,18 @@ def _status(add, results: Path) -> None:
     events.append({"event": "end", "time": 4, "success": False, "own_cpu_s": 1, "jobs_cpu_s": 2})
     (folder / "journal.jsonl").write_text("".join(json.dumps(one) + "\n" for one in events))
     for name in ("plan.json", "journal.jsonl"):
-        add(f"status, {name}", folder / name, lambda: status(results, 3))
+        yield f"status, {name}", folder / name, lambda: status(results, 3)
 
 
-def _release(add, config, results: Path, folder: Path) -> None:
+def _release(config, folder: Path) -> Found:
     out = folder / "release"
     with contextlib.chdir(folder), contextlib.redirect_stderr(io.StringIO()):
         write_release(config, "results", out, Path(__file__).parents[2])
     for name in ("manifest.parquet", "SHA256SUMS", "release.json", "config.json"):
         if (out / name).is_file():
-            add(f"audit, {name}", out / name, lambda: audit_release(out, jobs=1))
+            yield f"audit, {name}", out / name, lambda: audit_release(out, jobs=1)
     for path in (next((out / "data").glob("*.parquet")), next((out / "records").rglob("*.json"))):
-        add(f"audit, {path.name}", path, lambda: audit_release(out, jobs=1))
+        yield f"audit, {path.name}", path, lambda: audit_release(out, jobs=1)
 
 
 def bad_input_is_answered(reader: Reader, content: bytes) -> str | None:

@@ -24,30 +24,15 @@ START_TIMEOUT_S = 600.0
 
 @dataclass(frozen=True)
 class Kill:
-    """One kill and what came of it.
-
-    Attributes
-    ----------
-    rule, output : str
-        The job that was under way.
-    victim : str
-    after_s : float
-        After its start (s); negative while Snakemake was still preparing it.
-    hit : bool
-        Whether anything was still running to be killed.
-    locked : bool
-        Whether ``snakemake --unlock`` was needed.
-    problems : list of str
-        Empty if what was there after the kill was whole and the end result is the reference's.
-    """
+    """One kill and what came of it."""
 
     rule: str
     output: str
     victim: str
-    after_s: float
-    hit: bool
-    locked: bool
-    problems: list[str]
+    after_s: float  # after the job's start; negative while Snakemake was still preparing it
+    hit: bool  # whether anything was still running to be killed
+    locked: bool  # whether ``snakemake --unlock`` was needed
+    problems: list[str]  # empty if what was there was whole, and the end result is the reference's
 
 
 def unprotect(folder: Path) -> None:
@@ -104,14 +89,11 @@ def remove(workflow: Workflow, *rules: str) -> None:
 
 def kill(process: subprocess.Popen, victim: str) -> bool:
     """Kill without a warning; False if nothing was left to be killed."""
-    everything = tree(psutil.Process(process.pid)) if process.poll() is None else []
+    chosen = tree(psutil.Process(process.pid)) if process.poll() is None else []
     if victim == "snakemake":
-        chosen = everything[:1]
+        chosen = chosen[:1]
     elif victim == "worker":
-        workers = [one for one in everything if is_worker(one)]
-        chosen = workers or everything[-1:]
-    else:
-        chosen = everything
+        chosen = [one for one in chosen if is_worker(one)] or chosen[-1:]
     for one in chosen:
         with contextlib.suppress(psutil.NoSuchProcess):
             one.send_signal(signal.SIGKILL)
@@ -173,7 +155,6 @@ def kill_and_resume(
         Of the plan.
     victim : str
         One of `VICTIMS`.
-    chance : random.Random
     by_command : bool
         Whether to clear a lock with ``snakemake --unlock`` or, sparing its start, as that does.
     """
@@ -216,14 +197,9 @@ def kill_and_resume(
 
 
 def start(workflow: Workflow, words: list[str]) -> subprocess.Popen:
-    return subprocess.Popen(
-        words,
-        cwd=workflow.folder,
-        env=workflow.environment(),
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-        start_new_session=True,
-    )
+    silent = dict.fromkeys(("stdout", "stderr"), subprocess.DEVNULL)
+    where = {"cwd": workflow.folder, "env": workflow.environment()}
+    return subprocess.Popen(words, **where, **silent, start_new_session=True)
 
 
 def start_until_a_job_runs(workflow: Workflow, words: list[str]) -> subprocess.Popen:

@@ -13,11 +13,6 @@ from scipy.spatial import cKDTree
 def crossing_pairs(positions_m: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Edges that go through triangles.
 
-    Parameters
-    ----------
-    positions_m : ndarray, shape (V, 3)
-    faces : ndarray of int, shape (F, 3)
-
     Returns
     -------
     ndarray, shape (N, 3)

@@ -5,7 +5,6 @@ Nothing in it was simulated or rendered; the records are those that the stages w
 
 import base64
 import contextlib
-import json
 import sys
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -14,15 +13,15 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from slipstitch.base.provenance import file_digest, provenance_record, write_parquet, write_sidecar
+from slipstitch.base.provenance import provenance_record, start_clock, write_json, write_parquet
 from slipstitch.config import Config, write_config
-from slipstitch.config.catalogue import catalogue_entries
 from slipstitch.dataset.dataset import write_dataset
 from slipstitch.dataset.images import decode
-from slipstitch.design.grid import Simulation, simulations, texture_ids, viewpoints, write_grid
+from slipstitch.design.grid import Simulation, simulations, write_grid
 from slipstitch.design.stage_path import StagePath
 from slipstitch.images.encoding import encode_png
-from slipstitch.images.image_shards import keypoints_record
+from slipstitch.images.image_shards import _description
+from slipstitch.images.packing import shade
 from slipstitch.images.surroundings import draw_surroundings
 from slipstitch.images.verification import (
     LEAST_PSNR_DB,
@@ -32,11 +31,11 @@ from slipstitch.images.verification import (
     psnr_db,
     ssim,
 )
-from slipstitch.images.view import View, camera_record
+from slipstitch.images.view import View
 from slipstitch.physics.friction_law.extended_model import read_extended_model
 from slipstitch.physics.simulation.convergence import measured_convergence
 from slipstitch.physics.simulation.drop_and_drag import DropAndDrag, draw_perturbation
-from slipstitch.physics.simulation.trajectory import Trajectory, read_trajectory, write_trajectory
+from slipstitch.physics.simulation.trajectory import Trajectory, write_trajectory
 from support import synthetic_cloth, synthetic_results, synthetic_videos
 
 
@@ -126,43 +125,15 @@ def _write_simulate(config: Config, results: Path) -> None:
 
 
 def _write_render(config: Config, results: Path) -> list[Path]:
-    names = {view["id"]: view["name"] for view in viewpoints(config)}
+    """Drawn images with what the render stage says of its own; nothing is rendered."""
     of_grid = {one.id: one for one in simulations(config)}
     paths = synthetic_videos.write_shards(config, results / "render")
     for path in paths:
         simulation, view = path.stem.rsplit("_", 1)
-        trajectory_path = results / f"simulate/{simulation}.parquet"
-        filmed = View.of(config, trajectory_path, view)
-        shown = filmed.interpolation
-        record = provenance_record(
-            "render",
-            inputs=filmed.inputs(),
-            config={
-                "render": config.render,
-                "sample": {"frames": config.sample.frames},
-                "viewpoint": names[view],
-                "catalogue": catalogue_entries(
-                    [names[view]], texture_ids(config.render).values(), config.render.floors
-                ),
-            },
-            seed=config.seed,
-        )
-        notes = {
-            "simulation": simulation,
-            "viewpoint": {"id": view, "name": names[view]},
-            "textures": dict(filmed.textures),
-            "surroundings": filmed.surroundings.record(),
-            "augmentation": {key: asdict(drawn) for key, drawn in filmed.camera_effects().items()},
-            **_cameras(config, view, trajectory_path, of_grid[simulation]),
-            "smallest_share_of_cloth_in_image": 0.9,
-            "trajectory_sha256": {one.stem: file_digest(one) for one in filmed.parents}
-            if shown
-            else file_digest(trajectory_path),
-            "interpolation": asdict(shown) if shown else None,
-            "interpolated_frames": filmed.trajectory().metadata["interpolated_frames"]
-            if shown
-            else None,
-        }
+        filmed = View.of(config, results / f"simulate/{simulation}.parquet", view)
+        trajectory = _on_path(config, filmed.trajectory(), of_grid[simulation])
+        pack = shade(filmed, trajectory)
+        notes, record = _description(filmed, pack, trajectory, [], start_clock())
         # As the render stage writes them: frame by frame, all textures of each.
         table = pq.read_table(path).sort_by([("frame", "ascending"), ("texture", "ascending")])
         column = table.schema.get_field_index("stage_x_m")
@@ -172,19 +143,11 @@ def _write_render(config: Config, results: Path) -> list[Path]:
     return paths
 
 
-def _cameras(config: Config, view: str, trajectory_path: Path, one: Simulation) -> dict:
-    """The cameras of a trajectory whose clamps move as the bench's do."""
-    trajectory = read_trajectory(trajectory_path)
+def _on_path(config: Config, trajectory: Trajectory, one: Simulation) -> Trajectory:
+    """A trajectory whose clamps move as the bench's do."""
     x_m, z_m = StagePath().position_m(trajectory.time_s)
     z_m = z_m + draw_perturbation(config.simulation, one.seed, one.replicate).height_m
-    on_path = replace(trajectory, stage_x_m=x_m, stage_z_m=z_m)
-    filmed = View.of(config, trajectory_path, view)
-    wanted = filmed.shots(on_path)
-    return {
-        "camera": camera_record(wanted, filmed.bench_camera),
-        "pose": filmed.rectifier(on_path).pose(wanted[0].camera),
-        "marked_points_m": keypoints_record(filmed.trajectory(), wanted),
-    }
+    return replace(trajectory, stage_x_m=x_m, stage_z_m=z_m)
 
 
 def _write_verification(config: Config, results: Path, shards: list[Path]) -> None:
@@ -208,16 +171,7 @@ def _write_verification(config: Config, results: Path, shards: list[Path]) -> No
             )
         )  # fmt: skip
         inputs.update([path, results / f"simulate/{row['simulation']}.parquet"])
-    out = results / "render/verification.json"
-    content = {
-        "images": len(comparisons),
-        "lowest_psnr_db": min((one.psnr_db for one in comparisons), default=None),
-        "lowest_ssim": min((one.ssim for one in comparisons), default=None),
-        "comparisons": [asdict(one) | {"passed": one.passed} for one in comparisons],
-    }
-    out.write_text(json.dumps(content))
-    settings = config.render.model_dump(mode="json", exclude=VIEWS)
-    record = provenance_record(
-        "render", inputs=inputs, config={"render": settings}, seed=config.seed
-    )
-    write_sidecar(out, record)
+    content = {"comparisons": [asdict(one) | {"passed": one.passed} for one in comparisons]}
+    settings = {"render": config.render.model_dump(mode="json", exclude=VIEWS)}
+    record = provenance_record("render", inputs=inputs, config=settings, seed=config.seed)
+    write_json(results / "render/verification.json", content, record)
