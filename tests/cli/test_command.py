@@ -67,11 +67,6 @@ def test_version(capsys):
     assert capsys.readouterr().out.startswith("slipstitch 0.")
 
 
-def test_help_of_a_verb_shows_its_example(verb, capsys):
-    assert command.main([VERB, "--help"]) == 0
-    assert "slipstitch doctor --size 3" in capsys.readouterr().out
-
-
 def test_an_option_takes_several_values_as_it_would_be_repeated(verb):
     seen = []
     verb.run = lambda arguments: seen.append(arguments.files)

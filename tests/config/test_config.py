@@ -41,25 +41,19 @@ def test_scales_of_the_project_are_valid_over_the_default(scale):
     assert config.grid.materials
 
 
-def test_paper_scale_is_the_grid_of_the_paper():
+def test_paper_scale_is_the_grid_of_the_paper_and_perturbs_nothing():
+    """The same fabric hangs on the same bench at all coefficients, and at every seed."""
     config = load_config(ROOT / "config.yaml", ROOT / "config/paper.yaml")
     assert len(config.grid.materials) == 10
     assert config.grid.frictions == tuple(round(0.1 * step, 1) for step in range(16))
-    assert len(config.render.textures) == 8
-    assert len(config.render.test_textures) == 1
-    assert len(config.render.viewpoints) == 3
-    assert len(config.render.test_viewpoints) == 6
-    assert (config.simulation.frames, config.sample.frames) == (300, 30)
-
-
-def test_paper_scale_perturbs_nothing():
-    """The same fabric hangs on the same bench at all coefficients, and at every seed."""
-    config = load_config(ROOT / "config.yaml", ROOT / "config/paper.yaml")
-    simulation = config.simulation
+    render, simulation = config.render, config.simulation
+    assert (len(render.textures), len(render.test_textures)) == (8, 1)
+    assert (len(render.viewpoints), len(render.test_viewpoints)) == (3, 6)
+    assert (simulation.frames, config.sample.frames) == (300, 30)
     spreads = (simulation.yaw_sd_deg, simulation.height_sd_m, simulation.fabric_sd_rel)
     assert (*spreads, simulation.curl_side) == (0.0, 0.0, 0.0, "same")
-    assert config.render.augmentation == AugmentationSettings()
-    assert config.render.floors == ["matte"]
+    assert render.augmentation == AugmentationSettings()
+    assert render.floors == ["matte"]
 
 
 @pytest.mark.parametrize("scale", SCALES)
@@ -78,12 +72,9 @@ def test_later_files_override_earlier_ones_key_by_key(tmp_path):
     assert (config.seed, config.grid.replicates, config.grid.frictions) == (4, 3, (0.5,))
 
 
-def test_empty_file_is_the_default(tmp_path):
+def test_an_empty_file_is_the_default_and_scientific_notation_a_number(tmp_path):
     assert load_config(write(tmp_path / "empty.yaml", "# nothing\n")) == Config()
-
-
-def test_scientific_notation_without_a_point_is_a_number(tmp_path):
-    # YAML 1.1 reads 1e-2 as a string.
+    # YAML 1.1 reads 1e-2, without a point, as a string.
     config = load_config(write(tmp_path / "c.yaml", "simulation: {time_step_s: 1e-2}\n"))
     assert config.simulation.time_step_s == 0.01
 
@@ -137,38 +128,49 @@ def test_bad_value_is_one_line_naming_file_and_key(tmp_path, text):
         assert message.startswith(f"{path}: ")
 
 
-def test_bad_value_is_blamed_on_the_file_that_holds_it(tmp_path):
+def test_every_problem_is_blamed_on_the_file_that_holds_it_in_one_line(tmp_path):
     good = write(tmp_path / "good.yaml", "grid: {replicates: 2}\n")
-    bad = write(tmp_path / "bad.yaml", "grid: {frictions: [-1]}\n")
-    with pytest.raises(BadInput, match=r"bad\.yaml: grid\.frictions\.0"):
+    bad = write(tmp_path / "bad.yaml", "grid: {frictions: [-1]}\nsimulation: {frames: 0}\n")
+    with pytest.raises(BadInput, match=r"bad\.yaml: grid\.frictions\.0") as caught:
         load_config(bad, good)
+    assert "simulation.frames" in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_several_problems_are_all_named_in_one_line(tmp_path):
-    path = write(tmp_path / "bad.yaml", "grid: {replicates: 0}\nsimulation: {frames: 0}\n")
-    with pytest.raises(BadInput) as caught:
-        load_config(path)
-    assert "grid.replicates" in str(caught.value)
-    assert "simulation.frames" in str(caught.value)
-    assert "\n" not in str(caught.value)
+BENCHES = {"render": {"test_viewpoints": ["bench_1"]}, "train": {"splits": ["by_simulation"]}}
+FRICTIONS = {"frictions": [0.1, 0.5, 1.0]}
+FABRICS = {"materials": ["gray-interlock", "royal-target"]}
+#: Sections that do not go together -> what is said.
+APART = [
+    # Cameras that would tell a simulation need whole simulations held out.
+    (
+        {"render": {"viewpoints": ["calibrated", "bench_1"]}},
+        "train.splits: 'by_video' tests on simulations that it trains on",
+    ),
+    (BENCHES, "render.test_viewpoints: 'bench_1' is another camera in every simulation"),
+    (
+        {"grid": FABRICS, "sample": {"validation_materials": FABRICS["materials"][::-1]}},
+        r"sample\.validation_materials: has all of grid\.materials",
+    ),
+    (
+        {"grid": FRICTIONS, "sample": {"train_only_frictions": [0.7]}},
+        r"train_only_frictions: 0\.7 is not in grid\.frictions",
+    ),
+    (
+        {"grid": FRICTIONS, "sample": {"train_only_frictions": FRICTIONS["frictions"]}},
+        r"train_only_frictions: has all of grid\.frictions",
+    ),
+]
 
 
-@pytest.mark.parametrize(
-    ("sections", "problem"),
-    [
-        (
-            {"render": {"viewpoints": ["calibrated", "bench_1"]}},
-            "train.splits: 'by_video' tests on simulations that it trains on",
-        ),
-        (
-            {"render": {"test_viewpoints": ["bench_1"]}, "train": {"splits": ["by_simulation"]}},
-            "render.test_viewpoints: 'bench_1' is another camera in every simulation",
-        ),
-    ],
-)
-def test_cameras_that_would_tell_a_simulation_need_whole_simulations_held_out(sections, problem):
+@pytest.mark.parametrize(("sections", "problem"), APART)
+def test_sections_that_do_not_go_together_are_refused(sections, problem):
     with pytest.raises(BadInput, match=problem):
         resolve_config(sections)
+
+
+def test_some_fabrics_may_validate_and_some_coefficients_only_train():
+    resolve_config({"grid": FABRICS, "sample": {"validation_materials": ["royal-target"]}})
+    resolve_config({"grid": FRICTIONS, "sample": {"train_only_frictions": [1.0]}})
 
 
 @pytest.mark.parametrize(
@@ -195,16 +197,11 @@ def test_written_configuration_reads_back_and_is_left_alone_when_unchanged(tmp_p
     config = resolve_config({"seed": 7, "grid": {"frictions": [0.25]}})
     assert write_config(config, path)
     assert load_config(path) == config
+    assert json.loads(path.read_text()) == config.model_dump(mode="json")  # every key
     before = path.stat().st_mtime_ns
     assert not write_config(config, path)
     assert path.stat().st_mtime_ns == before
     assert write_config(resolve_config({"seed": 8}), path)
-
-
-def test_written_configuration_holds_every_key(tmp_path):
-    path = tmp_path / "config.json"
-    write_config(Config(), path)
-    assert json.loads(path.read_text()) == Config().model_dump(mode="json")
 
 
 def test_schema_file_is_the_one_of_the_types():
@@ -232,15 +229,10 @@ def test_the_stage_moves_as_in_the_paper_unless_told_otherwise(tmp_path):
     assert path.duration_s < StagePath().duration_s
 
 
-def test_clamps_that_would_hit_the_floor_are_refused(tmp_path):
-    low = write(tmp_path / "low.yaml", "simulation: {stage: {drop_m: 0.21}}\n")
-    with pytest.raises(BadInput, match=r"simulation\.stage: drop_m must be less"):
-        load_config(low)
-
-
 @pytest.mark.parametrize(
     ("stage", "problem"),
     [
+        ("{drop_m: 0.21}", "stage: drop_m must be less"),
         ("{start_height_m: 0.15}", "stage.start_height_m: must be at least 0.2, not 0.15"),
         ("{drop_m: 0}", "stage: drop_m must be more than 0.01, not 0;"),
         ("{drop_m: 0.01}", "stage: drop_m must be more than 0.01"),
@@ -252,23 +244,6 @@ def test_a_cloth_hangs_free_at_the_start_and_is_lowered_to_the_floor(tmp_path, s
     path = write(tmp_path / "stage.yaml", f"simulation: {{stage: {stage}}}\n")
     with pytest.raises(BadInput, match=re.escape(f"{path}: simulation.{problem}")):
         load_config(path)
-
-
-def test_fabrics_for_validation_leave_one_to_train():
-    sections = {"grid": {"materials": ["gray-interlock", "royal-target"]}}
-    resolve_config(sections | {"sample": {"validation_materials": ["royal-target"]}})
-    every = ["royal-target", "gray-interlock"]
-    with pytest.raises(BadInput, match=r"sample\.validation_materials: has all of grid\.materials"):
-        resolve_config(sections | {"sample": {"validation_materials": every}})
-
-
-def test_coefficients_that_only_train_are_of_the_grid_and_leave_one_to_test():
-    grid = {"frictions": [0.1, 0.5, 1.0]}
-    resolve_config({"grid": grid, "sample": {"train_only_frictions": [1.0]}})
-    with pytest.raises(BadInput, match=r"train_only_frictions: 0\.7 is not in grid\.frictions"):
-        resolve_config({"grid": grid, "sample": {"train_only_frictions": [0.7]}})
-    with pytest.raises(BadInput, match=r"train_only_frictions: has all of grid\.frictions"):
-        resolve_config({"grid": grid, "sample": {"train_only_frictions": [0.1, 0.5, 1.0]}})
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """A folder that somebody made to do harm: refused or found at once, in little memory."""
 
+import contextlib
 import json
 import os
 import shutil
@@ -29,11 +30,6 @@ CPU_S, RSS_BYTES = 20.0, 2**30
 @pytest.fixture
 def forger(signed, tmp_path):
     return Forger(signed[0], tmp_path / "release")
-
-
-@pytest.fixture
-def release(forger):
-    return forger.release
 
 
 LAUNCHER = """
@@ -71,78 +67,70 @@ def instead(path: Path) -> Path:
     return path
 
 
-def link_to_a_device(release):
-    instead(shard_of(release)).symlink_to("/dev/zero")
-
-
-def link_to_a_folder(release):
-    instead(shard_of(release)).symlink_to("/usr")
-
-
-def link_in_place_of_the_records(release):
+def put_in_place_of_the_records(release):
     shutil.move(release / "records", release.parent / "records")
     (release / "records").symlink_to(release.parent / "records")
 
 
-def link_to_itself(release):
-    (release / "data/loop").symlink_to(".")
-
-
-def pipe(release):
-    os.mkfifo(instead(shard_of(release)))
-
-
-def pipe_among_the_sources(release):
-    os.mkfifo(release / "code/src/slipstitch/more.py")
-
-
-def pipe_for_sums(release):
-    os.mkfifo(instead(release / SUMS))
-
-
 def a_socket(release):
-    place = os.getcwd()
-    os.chdir(release)  # the name of a socket is short
-    try:
-        with socket.socket(socket.AF_UNIX) as server:
-            server.bind("socket")
-    finally:
-        os.chdir(place)
+    with contextlib.chdir(release), socket.socket(socket.AF_UNIX) as server:
+        server.bind("socket")  # the name of a socket is short
 
 
-def hole(release):
-    with open(release / "README.md", "r+b") as stream:
+def with_a_hole(path):
+    with open(path, "r+b") as stream:
         stream.truncate(2**40)
-
-
-def hole_in_a_shard(release):
-    with open(shard_of(release), "r+b") as stream:
-        stream.truncate(2**40)
-
-
-def unprintable_name(release):
-    (release / "data/\x1b[2Jintact").touch()
-
-
-def deep_folders(release):
-    (release / "/".join("d" * 60)).mkdir(parents=True)
 
 
 DEEP = "[" * 100_000 + "]" * 100_000
+#: What is done to a release -> what is said of it.
+REFUSED = {
+    "a link to a device": (
+        lambda one: instead(shard_of(one)).symlink_to("/dev/zero"),
+        "is a link; a release contains only regular files",
+    ),
+    "a link to a folder": (lambda one: instead(shard_of(one)).symlink_to("/usr"), "is a link"),
+    "a link in place of the records": (put_in_place_of_the_records, "records is a link"),
+    "a link to itself": (lambda one: (one / "data/loop").symlink_to("."), "is a link"),
+    "a pipe": (lambda one: os.mkfifo(instead(shard_of(one))), "is a pipe"),
+    "a pipe among the sources": (
+        lambda one: os.mkfifo(one / "code/src/slipstitch/more.py"),
+        "is a pipe",
+    ),
+    "a pipe for sums": (lambda one: os.mkfifo(instead(one / SUMS)), "is a pipe"),
+    "a socket": (a_socket, "is a socket"),
+    "a hole": (lambda one: with_a_hole(one / "README.md"), "mostly a hole"),
+    "a hole in a shard": (lambda one: with_a_hole(shard_of(one)), "mostly a hole"),
+    "an unprintable name": (lambda one: (one / "data/\x1b[2Jintact").touch(), "not printable"),
+    "deep folders": (
+        lambda one: (one / "/".join("d" * 60)).mkdir(parents=True),
+        "nested more than",
+    ),
+    "a deep record": (
+        lambda one: next((one / "records/simulate").iterdir()).write_text(DEEP),
+        "nested more than",
+    ),
+    "a deep configuration": (
+        lambda one: (one / "records/config.json").write_text(DEEP),
+        "nested more than",
+    ),
+}
 
 
-def deep_record(release):
-    next((release / "records/simulate").iterdir()).write_text(DEEP)
+def edited_manifest(change):
+    """A function that rewrites a release's manifest, a table, as `change` makes it."""
+
+    def edit(release):
+        path = release / "manifest.parquet"
+        pq.write_table(change(pq.read_table(path)), path, compression="zstd")
+
+    return edit
 
 
-def deep_configuration(release):
-    (release / "records/config.json").write_text(DEEP)
-
-
-def deep_metadata(release):
-    path = release / "manifest.parquet"
-    table = pq.read_table(path).replace_schema_metadata({"slipstitch": DEEP})
-    pq.write_table(table, path)
+def with_materials(table, name):
+    """The manifest with other fabrics, by the number of the row."""
+    rows = [row | {"material": name(k)} for k, row in enumerate(table.to_pylist())]
+    return pa.Table.from_pylist(rows, schema=table.schema)
 
 
 def _rows(image: bytes, count: int, **labels) -> pa.Table:
@@ -159,27 +147,21 @@ def repeated_images(release):
             writer.write_table(table)
 
 
-def coded_images(release):
-    pq.write_table(_rows(bytes(2**20), 400), shard_of(release), compression="zstd")
-
-
-def repeated_text(release):
-    table = _rows(b"", 1000, material="m" * 2**20)
+def text_in_a_shard(release, rows, dictionary=True, **options):
+    """The same text of 1 MiB in every row; images uncompressed, as a shard has them."""
+    table = _rows(b"", rows, material="m" * 2**20)
     labels = [name for name in table.column_names if name != "image"]
     how = {**dict.fromkeys(labels, "ZSTD"), "image": "NONE"}
-    pq.write_table(table, shard_of(release), compression=how, use_dictionary=labels)
+    coded = labels if dictionary else False
+    pq.write_table(table, shard_of(release), compression=how, use_dictionary=coded, **options)
+    return table
 
 
 def lying_footer(release):
     """A column of 1.2 GB in pages of zeros, of which the footer says that it has a few bytes."""
-    table = _rows(b"", 1200, material="m" * 2**20)
+    large = {"data_page_size": 2**31 - 1, "write_statistics": False}
+    table = text_in_a_shard(release, 1200, dictionary=False, **large)
     path = shard_of(release)
-    labels = [name for name in table.column_names if name != "image"]
-    how = {**dict.fromkeys(labels, "ZSTD"), "image": "NONE"}
-    pq.write_table(
-        table, path, compression=how, use_dictionary=False, data_page_size=2**31 - 1,
-        write_statistics=False,
-    )  # fmt: skip
     footer = pq.read_metadata(path)
     column = footer.row_group(0).column(table.column_names.index("material"))
     data = path.read_bytes()
@@ -198,135 +180,100 @@ def varint(number: int, length: int = 0) -> bytes:
     return bytes([*(byte | 0x80 for byte in found[:-1]), found[-1]])
 
 
-def repeated_manifest(release):
-    path = release / "manifest.parquet"
-    table = pq.read_table(path)
-    table = table.take(pa.array(np.zeros(200_000, np.int64)))
-    pq.write_table(table, path, compression="zstd")
+#: The same, behind new sums.
+PACKED = {
+    "deep metadata": (
+        edited_manifest(lambda table: table.replace_schema_metadata({"slipstitch": DEEP})),
+        "nested too deeply",
+    ),
+    "repeated images": (repeated_images, "compressed or coded again"),
+    "coded images": (
+        lambda one: pq.write_table(_rows(bytes(2**20), 400), shard_of(one), compression="zstd"),
+        "compressed or coded again",
+    ),
+    "repeated text": (lambda one: text_in_a_shard(one, 1000), "a text of 1048576 bytes"),
+    "a lying footer": (lying_footer, "takes far more memory than it has bytes"),
+    "a repeated row of the manifest": (
+        edited_manifest(lambda table: table.take(pa.array(np.zeros(200_000, np.int64)))),
+        "rows compressed to",
+    ),
+    "a long text in the manifest": (
+        edited_manifest(lambda table: with_materials(table, lambda k: "m" * 2**20)),
+        "a text of 1048576 bytes",
+    ),
+    # Another one in every row: together 1 MiB a row, packed to a few kB.
+    "many long texts in the manifest": (
+        edited_manifest(lambda table: with_materials(table, lambda k: f"{k}" + "m" * 2**20)),
+        "bytes compressed to",
+    ),
+}
 
 
-def long_text_in_the_manifest(release):
-    path = release / "manifest.parquet"
-    rows = pq.read_table(path).to_pylist()
-    table = pa.Table.from_pylist(
-        [row | {"material": "m" * 2**20} for row in rows], schema=pq.read_schema(path)
-    )
-    pq.write_table(table, path, compression="zstd")
-
-
-def many_long_texts_in_the_manifest(release):
-    """Another one in every row: together 1 MiB a row, packed to a few kB."""
-    path = release / "manifest.parquet"
-    rows = pq.read_table(path).to_pylist()
-    for number, row in enumerate(rows):
-        row["material"] = f"{number}" + "m" * 2**20
-    table = pa.Table.from_pylist(rows, schema=pq.read_schema(path))
-    pq.write_table(table, path, compression="zstd")
-
-
-def huge_image(forger):
-    header = (60_000).to_bytes(4, "big") * 2 + bytes([8, 2, 0, 0, 0])
-    body = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(bytes(2**20)))
+def first_image(forger, side: int, content: bytes):
+    """A PNG that says to have so many pixels a side as the first image of a shard."""
+    header = side.to_bytes(4, "big") * 2 + bytes([8, 2, 0, 0, 0])
+    body = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(content))
     image = b"\x89PNG\r\n\x1a\n" + body + chunk(b"IEND", b"")
-    forger.edit_rows(
-        f"data/{shard_of(forger.release).name}", lambda rows: rows[0]["image"].update(bytes=image)
-    )
+    shard = f"data/{shard_of(forger.release).name}"
+    forger.edit_rows(shard, lambda rows: rows[0]["image"].update(bytes=image))
 
 
-def growing_image(forger):
-    header = (16).to_bytes(4, "big") * 2 + bytes([8, 2, 0, 0, 0])
-    body = chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(bytes(2**30)))
-    image = b"\x89PNG\r\n\x1a\n" + body + chunk(b"IEND", b"")
-    forger.edit_rows(
-        f"data/{shard_of(forger.release).name}", lambda rows: rows[0]["image"].update(bytes=image)
-    )
-
-
-def deep_source(forger):
-    (forger.release / "code/src/slipstitch/design/grid.py").write_text("x = " + "-" * 100_000 + "1")
-
-
-def source_that_is_none(forger):
-    (forger.release / "code/src/slipstitch/design/grid.py").write_bytes(b"\0\xff")
+def source(forger, content: bytes):
+    (forger.release / "code/src/slipstitch/design/grid.py").write_bytes(content)
 
 
 def records_in_a_circle(forger):
-    forger.edit_records(
-        "*",
-        lambda one: (
-            (one["provenance"] or {})
-            .get("inputs", {})
-            .update({"results/sample/manifest.parquet": "0" * 64})
-        ),
-    )
+    def edit(one):
+        inputs = (one["provenance"] or {}).get("inputs", {})
+        inputs.update({"results/sample/manifest.parquet": "0" * 64})
+
+    forger.edit_records("*", edit)
 
 
 def records_of_other_kinds(forger):
-    for key, value in {"inputs": {"a": 1}, "versions": [1], "git_commit": 3, "seed": {}}.items():
-        forger.edit_records(
-            "render/*", lambda one, key=key, value=value: one["provenance"].update({key: value})
-        )
+    odd = {"inputs": {"a": 1}, "versions": [1], "git_commit": 3, "seed": {}}
+    forger.edit_records("render/*", lambda one: one["provenance"].update(odd))
     forger.edit_records("simulate/*", lambda one: one["metadata"].update(solver=None, pinned="x"))
     forger.edit_records("sample/*", lambda one: one.update(metadata={"viewpoint": 1}))
 
 
-REFUSED = {
-    link_to_a_device: "is a link; a release contains only regular files",
-    link_to_a_folder: "is a link",
-    link_in_place_of_the_records: "records is a link",
-    link_to_itself: "is a link",
-    pipe: "is a pipe",
-    pipe_among_the_sources: "is a pipe",
-    pipe_for_sums: "is a pipe",
-    a_socket: "is a socket",
-    hole: "mostly a hole",
-    hole_in_a_shard: "mostly a hole",
-    unprintable_name: "not printable",
-    deep_folders: "nested more than",
-    deep_record: "nested more than",
-    deep_configuration: "nested more than",
-    deep_metadata: "nested too deeply",
-    repeated_images: "compressed or coded again",
-    coded_images: "compressed or coded again",
-    repeated_text: "a text of 1048576 bytes",
-    lying_footer: "takes far more memory than it has bytes",
-    repeated_manifest: "rows compressed to",
-    long_text_in_the_manifest: "a text of 1048576 bytes",
-    many_long_texts_in_the_manifest: "bytes compressed to",
-}
-PACKED = (
-    *(deep_metadata, repeated_images, coded_images, repeated_text, lying_footer),
-    *(repeated_manifest, long_text_in_the_manifest, many_long_texts_in_the_manifest),
-)
 FOUND = {
-    huge_image: "an image of more than",
-    growing_image: "do not match the manifest",
-    deep_source: "its code digest is not that of",
-    source_that_is_none: "its code digest is not that of",
-    records_in_a_circle: "broken chain",
-    records_of_other_kinds: "broken chain",
+    "a huge image": (lambda one: first_image(one, 60_000, bytes(2**20)), "an image of more than"),
+    "a growing image": (
+        lambda one: first_image(one, 16, bytes(2**30)),
+        "do not match the manifest",
+    ),
+    "a deep source": (
+        lambda one: source(one, b"x = " + b"-" * 100_000 + b"1"),
+        "its code digest is not that of",
+    ),
+    "a source that is none": (lambda one: source(one, b"\0\xff"), "its code digest is not that of"),
+    "records in a circle": (records_in_a_circle, "broken chain"),
+    "records of other kinds": (records_of_other_kinds, "broken chain"),
 }
 
 
-@pytest.mark.parametrize("harm", REFUSED, ids=lambda harm: harm.__name__)
-def test_hostile_folder_is_refused_in_one_line(forger, release, harm):
-    harm(release)
-    if harm in PACKED:
+@pytest.mark.parametrize("name", [*REFUSED, *PACKED])
+def test_hostile_folder_is_refused_in_one_line(forger, name):
+    harm, what = (REFUSED | PACKED)[name]
+    harm(forger.release)
+    if name in PACKED:
         forger.reseal()
-    code, said, cpu_s, rss = audited(release)
-    assert REFUSED[harm] in said
+    code, said, cpu_s, rss = audited(forger.release)
+    assert what in said
     assert (code, said.count("\n")) == (2, 1), said
     assert cpu_s < CPU_S
     assert rss < RSS_BYTES
 
 
-@pytest.mark.parametrize("harm", FOUND, ids=lambda harm: harm.__name__)
-def test_hostile_content_is_found(forger, harm):
+@pytest.mark.parametrize("name", FOUND)
+def test_hostile_content_is_found(forger, name):
+    harm, what = FOUND[name]
     harm(forger)
     forger.reseal()
     code, said, _, rss = audited(forger.release)
     assert code == 1, said
-    assert FOUND[harm] in said
+    assert what in said
     assert "Traceback" not in said
     assert rss < RSS_BYTES
 

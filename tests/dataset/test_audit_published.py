@@ -147,97 +147,78 @@ def test_commits_and_stages_of_other_code_are_said_and_no_damage(folder, monkeyp
     assert notes_of(listed(folder), "made by other code") == [f"{other}, simulate"]
 
 
-def _lose(folder):
-    (folder / "metrics.json").unlink()
+def edited(name, old, new):
+    """A function that replaces a text in a file of the folder once."""
+
+    def edit(folder):
+        text = (folder / name).read_text()
+        (folder / name).write_text(text.replace(old, new, 1))
+
+    return edit
 
 
-def _edit_config(folder):
-    path = folder / "config.json"
-    path.write_text(path.read_text().replace("0", "1", 1))
+def rewritten(name, change):
+    """A function that changes the content of a JSON file of the folder."""
+
+    def edit(folder):
+        content = json.loads((folder / name).read_text())
+        change(content)
+        write_json(folder / name, content)
+
+    return edit
 
 
-def _edit_scores(folder):
-    path = folder / "details.json"
-    path.write_text(path.read_text().replace("0.", "0.0", 1))
-    listed(folder)
-
-
-def _swap_weights(folder):
-    shutil.copy(SHIPPED / "instrument.json", folder / MODELS / "seed0/instrument.json")
-    listed(folder)
+def copied(source, name):
+    """A function that puts another file in the place of one of the folder."""
+    return lambda folder: shutil.copy(source, folder / name)
 
 
 def _swap_model(folder):
     """A model, with its card and records, for one that was not evaluated."""
     for path in (folder / MODELS / "seed1").iterdir():
         shutil.copy(path, folder / MODELS / "seed0" / path.name)
-    listed(folder)
 
 
-def _recorded(folder, name, change):
-    path = folder / f"{name}.provenance.json"
-    record = json.loads(path.read_text())
-    change(record["inputs"])
-    write_json(path, record)
-    listed(folder)
+def without_a_shard(lineage):
+    del lineage[max(name for name in lineage if "/sample/" in name)]
 
 
-def _other_dataset(folder):
-    def change(inputs):
-        inputs["results/sample/manifest.parquet"] = "0" * 64
-
-    _recorded(folder, "details.json", change)
-
-
-def _predictions_of_another_run(folder):
-    other = PUBLISHED.with_name("paper") / "predictions.parquet"
-    shutil.copy(other, folder / "predictions.parquet")
-    listed(folder)
-
-
-def _no_training_record(folder):
-    (folder / MODELS / "seed0/instrument.safetensors.provenance.json").unlink()
-    listed(folder)
-
-
-def _other_images(folder):
-    path = folder / "dataset/digests.json"
-    digests = json.loads(path.read_text())
-    digests["files"][min(digests["files"])] = "0" * 64
-    write_json(path, digests)
-    listed(folder)
-
-
-def _other_digest(folder):
-    path = folder / "dataset/digests.json"
-    write_json(path, json.loads(path.read_text()) | {"digest": "0" * 64})
-    listed(folder)
-
-
-def _shard_without_origin(folder):
-    with_lineage(folder, lambda lineage: lineage.pop(max(n for n in lineage if "/sample/" in n)))
+RECORD = f"{WEIGHTS}.provenance.json"
+DETAILS, DIGESTS = "details.json", "dataset/digests.json"
+OTHER = {"results/sample/manifest.parquet": "0" * 64}
+#: What is changed, whether the index is renewed, and what is found: kind, place, words.
+CHANGED = [
+    (lambda folder: (folder / "metrics.json").unlink(), False,
+     "missing", "metrics.json", "listed in published.json"),
+    (edited("config.json", "0", "1"), False,
+     "altered", "config.json", "not the file listed in published.json"),
+    (edited(DETAILS, "0.", "0.0"), True,
+     "broken chain", DETAILS, "not the file that its record"),
+    (copied(SHIPPED / "instrument.json", f"{MODELS}/seed0/instrument.json"), True,
+     "broken chain", WEIGHTS, "not the weights that their card describes"),
+    (_swap_model, True,
+     "broken chain", "metrics.json", "another instrument.safetensors than the"),
+    (_swap_model, True,
+     "broken chain", AVERAGE, "another instrument.safetensors than the published"),
+    (rewritten(f"{DETAILS}.provenance.json", lambda one: one["inputs"].update(OTHER)), True,
+     "broken chain", DETAILS, "another manifest.parquet than the"),
+    (copied(PUBLISHED.with_name("paper") / "predictions.parquet", "predictions.parquet"),
+     True, "broken chain", "predictions.parquet", "another manifest"),
+    (lambda folder: (folder / RECORD).unlink(), True,
+     "broken chain", WEIGHTS, "has no record of what it was trained on"),
+    (rewritten(DIGESTS, lambda one: one["files"].update({min(one["files"]): "0" * 64})), True,
+     "broken chain", WEIGHTS, "made from another m0"),
+    (rewritten(DIGESTS, lambda one: one.update(digest="0" * 64)), True,
+     "broken chain", DIGESTS, "is of another dataset than"),
+    (lambda folder: with_lineage(folder, without_a_shard), True,
+     "broken chain", LINEAGE, "does not say what"),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("change", "kind", "where", "what"),
-    [
-        (_lose, "missing", "metrics.json", "listed in published.json"),
-        (_edit_config, "altered", "config.json", "not the file listed in published.json"),
-        (_edit_scores, "broken chain", "details.json", "not the file that its record"),
-        (_swap_weights, "broken chain", WEIGHTS, "not the weights that their card describes"),
-        (_swap_model, "broken chain", "metrics.json", "another instrument.safetensors than the"),
-        (_swap_model, "broken chain", AVERAGE, "another instrument.safetensors than the published"),
-        (_other_dataset, "broken chain", "details.json", "another manifest.parquet than the"),
-        (_predictions_of_another_run, "broken chain", "predictions.parquet", "another manifest"),
-        (_no_training_record, "broken chain", WEIGHTS, "has no record of what it was trained on"),
-        (_other_images, "broken chain", WEIGHTS, "made from another m0"),
-        (_other_digest, "broken chain", "dataset/digests.json", "is of another dataset than"),
-        (_shard_without_origin, "broken chain", LINEAGE, "does not say what"),
-    ],
-)
-def test_what_was_changed_is_named(folder, change, kind, where, what):
+@pytest.mark.parametrize(("change", "renewed", "kind", "where", "what"), CHANGED)
+def test_what_was_changed_is_named(folder, change, renewed, kind, where, what):
     change(folder)
-    told = audited(folder, 1)
+    told = audited(listed(folder) if renewed else folder, 1)
     assert told["verdict"] == "damaged"
     found = [(one["kind"], one["where"], one["what"]) for one in told["findings"]]
     assert any(k == kind and w.endswith(where) and what in why for k, w, why in found), found

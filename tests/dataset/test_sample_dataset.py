@@ -8,7 +8,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from PIL import Image
-from support import synthetic_videos
+from support import synthetic_videos as synthetic
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import read_metadata, read_provenance
@@ -18,8 +18,6 @@ from slipstitch.config.train import REFLECTIVE
 from slipstitch.dataset.dataset import write_dataset
 from slipstitch.dataset.videos import read_videos, takes_part
 from slipstitch.design.sampled_frames import sampled_frames
-
-synthetic = synthetic_videos
 
 
 @pytest.fixture(scope="module")
@@ -42,12 +40,6 @@ def shards(rendered, tmp_path):
     return copies
 
 
-def rewrite(path, change):
-    """Replace a shard's rows by what `change` makes of them."""
-    table = pq.read_table(path)
-    pq.write_table(pa.Table.from_pylist(change(table.to_pylist()), schema=table.schema), path)
-
-
 def test_every_video_has_its_frames_labels_and_sides(config, rendered, tmp_path):
     rows = write_dataset(config, rendered, tmp_path)
     assert len(rows) == 2 * 2 * 2 * 2 * 2
@@ -63,10 +55,8 @@ def test_every_video_has_its_frames_labels_and_sides(config, rendered, tmp_path)
     }
     with Image.open(io.BytesIO(frames[0]["image"]["bytes"])) as image:
         assert image.size == (16, 16)
-
-
-def test_the_files_say_that_they_hold_images_and_where_they_come_from(config, rendered, tmp_path):
-    rows = write_dataset(config, rendered, tmp_path)
+    assert read_videos(tmp_path).points_m is None  # these shards have none
+    # The files say that they hold images and where they come from.
     path = tmp_path / rows[0]["file"]
     features = json.loads(pq.read_schema(path).metadata[b"huggingface"])["info"]["features"]
     assert features["image"] == {"_type": "Image"}
@@ -76,7 +66,7 @@ def test_the_files_say_that_they_hold_images_and_where_they_come_from(config, re
 
 
 def test_places_of_points_go_with_their_frames(config, tmp_path):
-    synthetic_videos.write_dataset(config, tmp_path, marked=True)
+    synthetic.write_dataset(config, tmp_path, marked=True)
     shards = sorted((tmp_path / "render").glob("*.parquet"))
     videos = read_videos(tmp_path / "sample", frames=3)
     known = read_metadata(shards[0])["marked_points_m"]
@@ -90,11 +80,6 @@ def test_places_of_points_go_with_their_frames(config, tmp_path):
         for place, frame in zip(videos.points_m[k], (0, 20, 40), strict=True):
             np.testing.assert_allclose(place.ravel(), known[str(frame)], atol=1e-6)
     assert videos.chosen(np.arange(len(videos)) == 1).points_m.shape == (1, 3, 9, 3)
-
-
-def test_datasets_from_before_there_were_points_have_none(config, rendered, tmp_path):
-    write_dataset(config, rendered, tmp_path)
-    assert read_videos(tmp_path).points_m is None
 
 
 def test_equal_shards_and_seeds_give_equal_datasets(config, rendered, tmp_path):
@@ -168,52 +153,50 @@ def test_a_missing_shard_is_named_by_its_simulation_or_video(config, rendered, t
         write_dataset(config, rendered[1:], tmp_path)
 
 
-def test_a_missing_frame_is_named(config, shards, tmp_path):
-    rewrite(shards[0], lambda rows: [row for row in rows if row["frame"] != 20])
-    with pytest.raises(BadInput, match="lacks frame 20"):
+def _spoil(rows):
+    rows[3]["image"]["bytes"] = rows[3]["image"]["bytes"][:40]
+    return rows
+
+
+@pytest.mark.parametrize(
+    ("change", "problem"),
+    [
+        (lambda rows: [row for row in rows if row["frame"] != 20], "lacks frame 20"),
+        (lambda rows: [*rows, rows[0]], "has frame 0 twice"),
+        (_spoil, "frame 30: not an image file, or a damaged image"),
+    ],
+)
+def test_what_is_wrong_with_a_frame_is_named(config, shards, tmp_path, change, problem):
+    table = pq.read_table(shards[0])
+    changed = pa.Table.from_pylist(change(table.to_pylist()), schema=table.schema)
+    pq.write_table(changed, shards[0])
+    with pytest.raises(BadInput, match=problem):
         write_dataset(config, shards, tmp_path / "out")
 
 
-def test_a_frame_that_is_there_twice_is_named(config, shards, tmp_path):
-    rewrite(shards[0], lambda rows: [*rows, rows[0]])
-    with pytest.raises(BadInput, match="has frame 0 twice"):
-        write_dataset(config, shards, tmp_path / "out")
+@pytest.mark.parametrize(
+    ("sections", "problem"),
+    [
+        ({"render": {"pixels": 32}}, "image is 16x16 RGB; must be 32x32 RGB"),
+        ({"grid": {"replicates": 1}}, r"'m\d\d_f\d+_r01' is not in the configured grid"),
+    ],
+)
+def test_images_of_another_configuration_are_refused(rendered, tmp_path, sections, problem):
+    with pytest.raises(BadInput, match=problem):
+        write_dataset(synthetic.config(**sections), rendered, tmp_path)
 
 
-def test_a_damaged_image_is_named(config, shards, tmp_path):
-    def spoil(rows):
-        rows[3]["image"]["bytes"] = rows[3]["image"]["bytes"][:40]
-        return rows
-
-    rewrite(shards[0], spoil)
-    with pytest.raises(BadInput, match="frame 30: not an image file, or a damaged image"):
-        write_dataset(config, shards, tmp_path / "out")
-
-
-def test_images_of_another_size_are_refused(rendered, tmp_path):
-    with pytest.raises(BadInput, match="image is 16x16 RGB; must be 32x32 RGB"):
-        write_dataset(synthetic.config(render={"pixels": 32}), rendered, tmp_path)
-
-
-def test_a_simulation_that_is_not_of_the_grid_is_refused(config, rendered, tmp_path):
-    smaller = synthetic.config(grid={"replicates": 1, "materials": config.grid.materials[:2]})
-    with pytest.raises(BadInput, match=r"'m\d\d_f\d+_r01' is not in the configured grid"):
-        write_dataset(smaller, rendered, tmp_path)
-
-
-def test_a_damaged_file_is_one_line_and_exit_code_2(config, shards, tmp_path, capsys):
-    write_config(config, tmp_path / "config.json")
-    shards[0].write_bytes(shards[0].read_bytes()[:500])
-    words = ["sample", "--config", str(tmp_path / "config.json"), "--out-dir", str(tmp_path / "o")]
-    assert main([*words, *map(str, shards)]) == 2
-    message = capsys.readouterr().err
-    assert message.count("\n") == 1 and "damaged or not a Parquet file" in message
-
-
-def test_the_command_says_what_it_wrote(config, rendered, tmp_path, capsys):
+def test_the_command_says_what_it_wrote_and_of_a_damaged_file_one_line(
+    config, shards, tmp_path, capsys
+):
     write_config(config, tmp_path / "config.json")
     words = ["sample", "--config", str(tmp_path / "config.json"), "--out-dir", str(tmp_path / "o")]
-    assert main([*words, *map(str, rendered)]) == 0
+    words += map(str, shards)
+    assert main(words) == 0
     said = capsys.readouterr().out
     assert "32 videos of 8 simulations, 6 frames each" in said
     assert "by_video: 26 train, 3 validation, 3 test" in said
+    shards[0].write_bytes(shards[0].read_bytes()[:500])
+    assert main(words) == 2
+    message = capsys.readouterr().err
+    assert message.count("\n") == 1 and "damaged or not a Parquet file" in message

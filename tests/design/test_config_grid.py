@@ -33,6 +33,8 @@ def test_ids_say_the_place_in_the_catalogue_and_the_value_in_thousandths():
     ]  # fmt: skip
     one = find_simulation(config, "m00_f0400_r01")
     assert (one.material, one.friction, one.replicate_id) == ("ivory-rib-knit", 0.4, "r01")
+    with pytest.raises(BadInput, match="no simulation 'm09_f0100_r00'"):
+        find_simulation(config, "m09_f0100_r00")
 
 
 def test_an_inserted_coefficient_leaves_the_other_ids_as_they_are():
@@ -44,11 +46,6 @@ def test_an_inserted_coefficient_leaves_the_other_ids_as_they_are():
     assert {one.friction_id for one in after.values()} == {"f0100", "f0345", "f0500", "f10000"}
 
 
-def test_unknown_simulation_is_bad_input():
-    with pytest.raises(BadInput, match="no simulation 'm09_f0100_r00'"):
-        find_simulation(grid(materials=["gray-interlock"]), "m09_f0100_r00")
-
-
 def test_every_fabric_and_replicate_has_a_seed_of_its_own_whatever_the_coefficient():
     """Common random numbers: the bench says nothing of the coefficient."""
     drawn = simulations(grid(replicates=20))
@@ -56,18 +53,11 @@ def test_every_fabric_and_replicate_has_a_seed_of_its_own_whatever_the_coefficie
         (simulation.material, simulation.replicate_id, simulation.seed) for simulation in drawn
     }
     seeds = {seed for *_, seed in benches}
-    assert len(benches) == len(seeds) == 3 * 20
+    assert len(benches) == len(seeds) == len({bench_of(one.id) for one in drawn}) == 3 * 20
     assert all(0 <= seed < 2**31 for seed in seeds)
-
-
-def test_the_bench_of_a_simulation_leaves_out_its_coefficient():
     assert bench_of("m05_f0300_r00") == bench_of("m05_f1300_r00") == "m05_r00"
-    assert len({bench_of(one.id) for one in simulations(grid(replicates=20))}) == 3 * 20
-
-
-def test_seeds_follow_the_configured_seed():
-    first, second = (simulations(resolve_config({"seed": seed})) for seed in (1, 2))
-    assert not {one.seed for one in first} & {one.seed for one in second}
+    others = simulations(resolve_config({"seed": 2, "grid": {"replicates": 20}}))
+    assert not {one.seed for one in others} & seeds
 
 
 def test_a_simulation_is_the_same_in_any_grid():
@@ -79,28 +69,6 @@ def test_a_simulation_is_the_same_in_any_grid():
         if (one.material, one.friction, one.replicate_id) == ("gray-interlock", 0.3, "r00")
     ]
     assert alone == same
-
-
-def test_test_textures_and_viewpoints_come_after_those_of_training():
-    config = resolve_config(
-        {
-            "render": {
-                "textures": ["dots", "stripes"],
-                "test_textures": ["chevron"],
-                "viewpoints": ["side"],
-                "test_viewpoints": ["calibrated_+5"],
-            }
-        }
-    )
-    assert [(one["id"], one["name"], one["role"]) for one in textures(config)] == [
-        ("t00", "dots", "train"),
-        ("t01", "stripes", "train"),
-        ("t02", "chevron", "test"),
-    ]
-    assert [(one["id"], one["role"]) for one in viewpoints(config)] == [
-        ("v00", "train"),
-        ("v01", "test"),
-    ]
 
 
 PAPER = {
@@ -116,15 +84,20 @@ PAPER = {
 }
 
 
-def test_the_second_training_set_is_the_training_viewpoints_once_more():
+def test_training_comes_before_testing_and_once_more_on_other_floors_at_the_end():
     config = resolve_config(PAPER)
-    assert [(one["id"], one["name"], one["floor_role"]) for one in viewpoints(config)] == [
-        ("v00", "calibrated", "train"),
-        ("v01", "side", "train"),
-        ("v02", "calibrated_-5", "train"),
-        ("v03", "calibrated_+5", "train"),
-        ("v04", "calibrated", "test"),
-        ("v05", "side", "test"),
+    assert [tuple(one.values()) for one in textures(config)] == [
+        ("t00", "dots", "train"),
+        ("t01", "stripes", "train"),
+        ("t02", "chevron", "test"),
+    ]
+    assert [tuple(one.values()) for one in viewpoints(config)] == [
+        ("v00", "calibrated", "train", "train"),
+        ("v01", "side", "train", "train"),
+        ("v02", "calibrated_-5", "test", "train"),
+        ("v03", "calibrated_+5", "test", "train"),
+        ("v04", "calibrated", "train", "test"),
+        ("v05", "side", "train", "test"),
     ]
     assert floors_of(config.render, "v01") == ["matte"]
     assert floors_of(config.render, "v05") == ["ceramic", "aluminium"]

@@ -4,6 +4,7 @@ import json
 import logging
 import os
 import re
+from dataclasses import dataclass
 from datetime import UTC, datetime
 from types import SimpleNamespace
 
@@ -31,25 +32,23 @@ from slipstitch.report.status import (
 NAMES = ("m00_f0100_r00", "m00_f0300_r00", "m00_f0600_r00", "m00_f1000_r00")
 
 
-class Event:
-    """Stands for Snakemake's enumeration of events."""
-
-    def __init__(self, value):
-        self.value = value
-
-
-class Planned:
+def planned(rule, *names):
     """What the journal needs of one of Snakemake's jobs."""
+    output = [f"results/simulate/{name}.parquet" for name in names]
+    benchmark = next((f"results/benchmarks/simulate/{name}.tsv" for name in names), None)
+    return Planned(SimpleNamespace(name=rule), output, benchmark)
 
-    def __init__(self, rule, name=None):
-        self.rule = SimpleNamespace(name=rule)
-        self.output = [f"results/simulate/{name}.parquet"] if name else []
-        self.benchmark = f"results/benchmarks/simulate/{name}.tsv" if name else None
+
+@dataclass(eq=False)
+class Planned:
+    rule: SimpleNamespace
+    output: list
+    benchmark: str | None
 
 
 def graph(finished_before=()):
     """Stands for Snakemake's graph: a simulation a name, and a rule that makes nothing."""
-    jobs = [Planned("simulate_one", name) for name in NAMES] + [Planned("all")]
+    jobs = [*(planned("simulate_one", name) for name in NAMES), planned("all")]
     needed = [job for job, name in zip(jobs, NAMES, strict=False) if name not in finished_before]
     return SimpleNamespace(jobs=jobs, needrun_jobs=lambda: needed, jobid=jobs.index)
 
@@ -68,7 +67,7 @@ class Bench:
 
     def tell(self, event, **what):
         record = logging.LogRecord("snakemake", logging.INFO, "", 0, "", (), None)
-        vars(record).update(what, event=Event(event))
+        vars(record).update(what, event=SimpleNamespace(value=event))
         self.journal.emit(record)
 
     def start(self, number):
@@ -202,14 +201,11 @@ def test_the_report_lists_failures_and_retries(bench):
     assert "retried" in page
 
 
-def test_the_end_of_a_log_is_short_whatever_the_log_holds(tmp_path):
+def test_the_end_of_a_log_is_short_and_a_stage_the_folder_below_results(tmp_path):
     log = tmp_path / "log"
     log.write_bytes(b"\xff\x00" * 1_000_000 + b"\n\rlast\n")
     assert last_lines(log, 2)[-1] == "last"
     assert last_lines(tmp_path / "none") == ["(no log: No such file or directory)"]
-
-
-def test_stages_are_the_folders_below_results():
     stages = {"render/preview/a.png": "render", "grid.parquet": "grid", "release": "release"}
     for name, stage in stages.items():
         job = Job(id=1, rule="a_rule", output=[f"results/{name}"], needed=True)
