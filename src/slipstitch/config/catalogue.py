@@ -21,28 +21,17 @@ def fabric_names() -> tuple[str, ...]:
 
 @dataclass(frozen=True)
 class Viewpoint:
-    """A fixed camera on the bench, aimed at the middle of the stage's travel.
+    """A fixed camera on the bench, aimed at the middle of the stage's travel."""
 
-    Attributes
-    ----------
-    azimuth_deg : float
-        Angle about the vertical axis; 0 looks against the drag direction (the camera stands
-        ahead of the stage), 90 looks along +y (from a camera beside the track, at -y).
-    elevation_deg : float
-        Angle of the optical axis below the horizontal.
-    distance_m : float
-        From the camera to the point it is aimed at.
-    test_only : bool
-        True where the viewpoint exists to test networks on views they have not seen.
-    drawn : bool
-        True of a family: every bench has a camera of its own near this viewpoint, and its images
-        are rectified into the calibrated one (`slipstitch.images.bench_camera`).
-    """
-
+    # Angle about the vertical axis; 0 looks against the drag direction (the camera stands ahead of
+    # the stage), 90 looks along +y (from a camera beside the track, at -y)
     azimuth_deg: float
-    elevation_deg: float
-    distance_m: float
+    elevation_deg: float  # angle of the optical axis below the horizontal
+    distance_m: float  # from the camera to the point it is aimed at
+    # True where the viewpoint exists to test networks on views they have not seen
     test_only: bool = False
+    # True of a family: every bench has a camera of its own near this viewpoint, and its images are
+    # rectified into the calibrated one (`slipstitch.images.bench_camera`)
     drawn: bool = False
 
 
@@ -92,19 +81,12 @@ class Floor:
     """Appearance of a substrate: a rough specular layer over a grey Lambertian body.
 
     Each pair is a range from which every simulation draws its own value.
-
-    Attributes
-    ----------
-    albedo : tuple of float
-        Of the body.
-    reflectance : tuple of float
-        Specular, at normal incidence; it grows towards grazing incidence (Schlick 1994).
-    roughness : tuple of float
-        As Blender has it: the width of the distribution of slopes (GGX) is its square.
     """
 
-    albedo: tuple[float, float]
+    albedo: tuple[float, float]  # of the body
+    # Specular, at normal incidence; it grows towards grazing incidence (Schlick 1994)
     reflectance: tuple[float, float] = (0.0, 0.0)
+    # As Blender has it: the width of the distribution of slopes (GGX) is its square
     roughness: tuple[float, float] = (0.0, 0.0)
 
     @property

@@ -25,21 +25,13 @@ ROLES = ("material", "friction", "texture", "viewpoint", "floor")
 
 @dataclass(frozen=True)
 class Videos:
-    """Videos and what is known of them.
+    """Videos and what is known of them."""
 
-    Attributes
-    ----------
-    rows : list of dict
-        Their rows of the manifest, n of them.
-    digest : str
-        Digest of the whole dataset (also of the videos that are not here).
-    points_m : ndarray of float32, shape (n, frames, points, 3), optional
-        Of the cloth (`slipstitch.images.keypoints`), where the dataset has them for all videos.
-    """
-
-    rows: list[dict[str, Any]]
-    pixels: np.ndarray
-    digest: str
+    rows: list[dict[str, Any]]  # their rows of the manifest, n of them
+    pixels: np.ndarray  # uint8, shape (n, frames, side, side, 3)
+    digest: str  # digest of the whole dataset (also of the videos that are not here)
+    # Of the cloth (`slipstitch.images.keypoints`), where the dataset has them for all videos:
+    # float32, shape (n, frames, points, 3)
     points_m: np.ndarray | None = None
 
     def __len__(self) -> int:

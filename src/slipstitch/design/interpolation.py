@@ -34,17 +34,10 @@ FROM_FRICTION = 0.4
 
 @dataclass(frozen=True)
 class Interpolation:
-    """The cloth of a film: a weighted mean of simulated ones.
+    """The cloth of a film: a weighted mean of simulated ones."""
 
-    Attributes
-    ----------
-    friction : float
-        Coefficient that the film shows.
-    weights : dict
-        Simulation id -> weight; they add up to 1; all are of the film's fabric.
-    """
-
-    friction: float
+    friction: float  # coefficient that the film shows
+    # Simulation id -> weight; they add up to 1; all are of the film's fabric
     weights: dict[str, float]
 
 

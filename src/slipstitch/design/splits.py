@@ -104,6 +104,7 @@ def split_by_simulation(
 
     Parameters
     ----------
+    simulations : iterable of (material_id, friction_id, replicate_id)
     validation_fraction, test_fraction : float
         Shares of the replicates (or materials) of each pair (or friction); rounded, at least one
         is held out and at least one trains.
@@ -160,6 +161,7 @@ def _held_pool(
         Number of the coefficient; where the rounds of the materials start.
     fraction : float
         Share to hold out.
+    hold_out : {"replicate", "pair"}
     """
     materials = list(replicates)
     held = _held(len(materials), fraction) if hold_out == "pair" else len(materials)

@@ -15,22 +15,12 @@ TAB_M = 0.01  # width of the tabs that hold its upper corners
 
 @dataclass(frozen=True)
 class StagePath:
-    """Lowering, then strokes forth and back, each with trapezoidal speed.
+    """Lowering, then strokes forth and back, each with trapezoidal speed."""
 
-    Attributes
-    ----------
-    start_height_m : float
-        Height of the clamps above the floor at time 0.
-    drop_m, stroke_m : float
-        Distance lowered; length of a horizontal stroke.
-    strokes : int
-        Forward, back, forward, back.
-    """
-
-    start_height_m: float = 0.21
-    drop_m: float = 0.06
-    stroke_m: float = 0.30
-    strokes: int = 4
+    start_height_m: float = 0.21  # height of the clamps above the floor at time 0
+    drop_m: float = 0.06  # distance lowered
+    stroke_m: float = 0.30  # length of a horizontal stroke
+    strokes: int = 4  # forward, back, forward, back
     speed_m_s: float = 0.010
     acceleration_m_s2: float = 0.010
 

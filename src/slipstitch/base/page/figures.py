@@ -98,6 +98,7 @@ def save_figure(
 
     Parameters
     ----------
+    kind : {"png", "svg"}
     dots_per_inch : int
         Of a PNG.
     """

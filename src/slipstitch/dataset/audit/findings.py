@@ -32,46 +32,25 @@ MEANING = {
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that is not as it should be.
-
-    Attributes
-    ----------
-    where : str
-        A file of the release, an artefact as the records call it, or a stage.
-    clips : tuple of str
-        Videos that it touches.
-    """
+    """One thing that is not as it should be."""
 
     kind: Kind
-    where: str
+    where: str  # a file of the release, an artefact as the records call it, or a stage
     what: str
-    clips: tuple[str, ...] = ()
+    clips: tuple[str, ...] = ()  # videos that it touches
 
 
 @dataclass
 class Audit:
-    """The outcome of an audit.
+    """The outcome of an audit."""
 
-    Attributes
-    ----------
-    release : str
-        Name and version, as the release calls itself.
-    sums_sha256 : str
-        SHA-256 of its ``SHA256SUMS``.
-    numbers : dict
-        Files, bytes, clips and images that were looked at; ``wall_s, cpu_s``.
-    notes : list of str
-        What could not be compared, and why.
-    clips : list of str
-        All videos of the release.
-    """
-
-    release: str
-    sums_sha256: str
+    release: str  # name and version, as the release calls itself
+    sums_sha256: str  # SHA-256 of its ``SHA256SUMS``
+    # Files, bytes, clips and images that were looked at; ``wall_s, cpu_s``
     numbers: dict[str, Any] = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)
-    notes: list[str] = field(default_factory=list)
-    clips: list[str] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)  # what could not be compared, and why
+    clips: list[str] = field(default_factory=list)  # all videos of the release
 
     @property
     def verdict(self) -> str:

@@ -36,28 +36,14 @@ _NOTES = (
 
 @dataclass(frozen=True)
 class Chain:
-    """What a published model comes from, as far as its records tell.
+    """What a published model comes from, as far as its records tell."""
 
-    Attributes
-    ----------
-    weights, sha256 : str
-        File of its weights, published or not, and their digest.
-    published : bool
-        Whether the weights themselves are there.
-    shipped : bool
-        Whether these are the weights that come with Slipstitch.
-    shards : dict
-        Files of images that it was trained and calibrated on -> SHA-256.
-    behind : dict
-        Everything that these were made from -> SHA-256.
-    """
-
-    weights: str
-    sha256: str
-    published: bool
-    shipped: bool
-    shards: dict[str, str]
-    behind: dict[str, str]
+    weights: str  # file of its weights, published or not
+    sha256: str  # of the weights
+    published: bool  # whether the weights themselves are there
+    shipped: bool  # whether these are the weights that come with Slipstitch
+    shards: dict[str, str]  # files of images that it was trained and calibrated on -> SHA-256
+    behind: dict[str, str]  # everything that these were made from -> SHA-256
 
     @property
     def simulations(self) -> dict[str, str]:

@@ -27,27 +27,16 @@ _OF_THE_RUN = frozenset({"device", "simulated_at_once", "trajectory_sha256"})
 
 @dataclass(frozen=True)
 class Rebuilt:
-    """A clip made again beside the released one.
-
-    Attributes
-    ----------
-    same_motion : bool
-        Whether the simulation gave the same bits.
-    largest_difference : int
-        Of a channel of a pixel, 0 ... 255.
-    psnr_db : float or None
-        None if equal.
-    differing : tuple of str
-        What the records of the simulation and of the rendering tell otherwise.
-    """
+    """A clip made again beside the released one."""
 
     clip: str
-    same_motion: bool
+    same_motion: bool  # whether the simulation gave the same bits
     same_pixels: bool
     images_differing: int
     images: int
-    largest_difference: int
-    psnr_db: float | None
+    largest_difference: int  # of a channel of a pixel, 0 ... 255
+    psnr_db: float | None  # None if equal
+    # What the records of the simulation and of the rendering tell otherwise
     differing: tuple[str, ...] = ()
 
     @property

@@ -33,30 +33,17 @@ NOT_RECORDED = ("provenance", "mesh")
 
 @dataclass(frozen=True)
 class Artefact:
-    """One file that a stage wrote, or a file from outside, as its record tells.
-
-    Attributes
-    ----------
-    path : str
-        As the records call it, such as ``results/render/m05_f0300_r00_v00.parquet``.
-    sha256 : str
-        Of the file's bytes.
-    rows_sha256 : str or None
-        Of a Parquet file's rows alone: the same whenever the same rows are made again, while the
-        bytes also hold the times of the job.
-    metadata : dict
-        What else the file says about itself.
-    provenance : dict or None
-        Its record; None for a file that no stage wrote.
-    """
+    """One file that a stage wrote, or a file from outside, as its record tells."""
 
     __pydantic_config__ = ConfigDict(extra="forbid")
 
-    path: str
-    sha256: str
+    path: str  # as the records call it, such as ``results/render/m05_f0300_r00_v00.parquet``
+    sha256: str  # of the file's bytes
+    # Of a Parquet file's rows alone: the same whenever the same rows are made again, while the
+    # bytes also hold the times of the job
     rows_sha256: str | None = None
-    metadata: dict[str, Any] = field(default_factory=dict)
-    provenance: dict[str, Any] | None = None
+    metadata: dict[str, Any] = field(default_factory=dict)  # what else the file says about itself
+    provenance: dict[str, Any] | None = None  # its record; None for a file that no stage wrote
 
     @property
     def record(self) -> dict[str, Any]:
