@@ -14,15 +14,7 @@ class BadInput(SlipstitchError):  # noqa: N818 - the name is what the user did, 
 
 
 class Damaged(BadInput):
-    """A damaged or altered file; the message says how to regenerate it.
-
-    Parameters
-    ----------
-    path : path
-        The file.
-    reason : str
-        What is wrong with it.
-    """
+    """A file that is damaged or altered, for a reason; the message says how to regenerate it."""
 
     def __init__(self, path: str | os.PathLike, reason: str):
         path = os.fspath(path)

@@ -42,16 +42,8 @@ def progress(
     """A tqdm bar over `items`, or one that is told with ``update``, on stderr.
 
     Where stderr is no terminal (a log, a pipe), it writes a line every `LINE_INTERVAL_S` seconds
-    and nothing at all in jobs that are shorter.
-
-    Parameters
-    ----------
-    description : str, optional
-        What goes in front.
-    unit : str
-        One item, in the singular.
-    total, initial : int
-        How many there are, and with how many it begins.
+    and nothing at all in jobs that are shorter. `description` goes in front, `unit` is one item in
+    the singular; `total` says how many there are, and `initial` with how many it begins.
     """
     options = {"unit": unit, "total": total, "initial": initial, "desc": description}
     if sys.stderr.isatty():

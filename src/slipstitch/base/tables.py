@@ -59,14 +59,9 @@ def as_number(text: str) -> float:
 def read_cells(path: str | os.PathLike, known: Collection[str], most_bytes: float) -> Cells:
     """Read a table in whichever dialect it is written.
 
-    BadInput if the file is no table, or may be read in two ways.
-
-    Parameters
-    ----------
-    known : names
-        Of columns that it may have: they tell the header from titles, and the separator.
-    most_bytes : float
-        A larger file is refused.
+    BadInput if the file is no table, or may be read in two ways. `known` names columns that it may
+    have: they tell the header from titles, and the separator. A file of more than `most_bytes` is
+    refused.
     """
     text, notes = _decoded(path, most_bytes)
     separator, start, first = _separator(text, known)

@@ -121,10 +121,7 @@ def _run(words: list[str]) -> int:
 def main(arguments: list[str] | None = None) -> int:
     """Run one verb.
 
-    Parameters
-    ----------
-    arguments : list of str, optional
-        The words after ``slipstitch``; those of the process by default.
+    Its words are those after ``slipstitch``; those of the process by default.
 
     Returns
     -------

@@ -41,10 +41,7 @@ def example(words: str) -> str:
 def verb(summary: str, shown: str, *, parent: click.Group | None = None, **settings: Any):
     """Make a verb of a function that takes `Arguments`; its name is the function's.
 
-    Parameters
-    ----------
-    summary, shown : str
-        First line and example of the help text.
+    `summary` is the first line of the help text, `shown` its example.
     """
 
     def decorate(run: Callable[[Arguments], int | None]) -> Verb:
@@ -94,10 +91,8 @@ def config_files(
 ):
     """Declare ``--config FILE ...``: a tuple of the files, empty if optional and not given.
 
-    Parameters
-    ----------
-    one_each : bool
-        For verbs that take other files without an option: ``--config`` takes one, and is repeated.
+    With `one_each`, for verbs that take other files without an option, ``--config`` takes one, and
+    is repeated.
     """
     kind = {"multiple": True} if one_each else {"cls": Several}
     return click.option("--config", required=required, metavar="FILE", help=help, **kind)

@@ -116,12 +116,9 @@ def catalogue_entries(
 ) -> dict[str, dict[str, Any]]:
     """The catalogue entries of these names, compared to determine what is up to date.
 
-    Returns
-    -------
-    dict
-        ``viewpoints``, ``textures`` and ``floors``, each name -> plain values, as JSON gives them
-        back; None for what is not in the catalogue, such as a texture's file. With any viewpoint
-        goes the calibrated one, which others are turned from. Kinds without a name are left out.
+    Return ``viewpoints``, ``textures`` and ``floors``, each name -> plain values, as JSON gives
+    them back; None for what is not in the catalogue, such as a texture's file. With any viewpoint
+    goes the calibrated one, which others are turned from. Kinds without a name are left out.
     """
     viewpoints = list(viewpoints)
     seen = sorted({"calibrated", *viewpoints}) if viewpoints else []

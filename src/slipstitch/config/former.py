@@ -19,14 +19,9 @@ FORMER_SECTIONS = ("evaluate",)
 def without_former_keys(section: str, values: Any) -> Any:
     """Return the values of a section, and of sections in it, without former keys.
 
-    FormerKeyError if a former key has another value than the constant that it became.
-
-    Parameters
-    ----------
-    section : str
-        Its name, e.g. ``render``; empty for the whole configuration.
-    values
-        As read from a file; what is no mapping is returned as it is.
+    FormerKeyError if a former key has another value than the constant that it became. `section` is
+    its name, e.g. ``render``, empty for the whole configuration; values that are no mapping are
+    returned as they are.
     """
     if not isinstance(values, Mapping):
         return values

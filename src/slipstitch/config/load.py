@@ -235,10 +235,7 @@ def load_config(
 def write_config(config: Config, path: str | os.PathLike) -> bool:
     """Write the whole configuration as JSON; touch the file only if its content changes.
 
-    Returns
-    -------
-    bool
-        Whether the file was written.
+    Return whether the file was written.
     """
     text = json.dumps(config.model_dump(mode="json"), indent=1) + "\n"
     target = Path(path)

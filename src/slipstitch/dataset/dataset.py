@@ -47,12 +47,8 @@ def write_dataset(
 
     BadInput if a shard is damaged, a video or frame of the grid is missing, there twice or not of
     the grid, an image cannot be decoded or has the wrong size, no valid split exists, or something
-    without contact tells the friction coefficient (`slipstitch.dataset.probes`).
-
-    Returns
-    -------
-    list of dict
-        The manifest's rows.
+    without contact tells the friction coefficient (`slipstitch.dataset.probes`). Return the
+    manifest's rows.
     """
     started = start_clock()
     labels: dict[str, dict[str, dict[str, Any]]] = {one.id: {} for one in simulations(config)}
@@ -146,10 +142,8 @@ def _write_simulation(
 ) -> tuple[list[dict[str, Any]], list[np.ndarray], list[int]]:
     """Write one simulation's frames.
 
-    Returns
-    -------
-    list of dict, list of ndarray, list of int
-        Its rows, sorted by video, their first frames and the sizes of these frames' files (bytes).
+    Return its rows, sorted by video, their first frames and the sizes of these frames' files
+    (bytes).
     """
     started = start_clock()
     simulation = next(iter(labels.values()))["simulation"]

@@ -68,11 +68,7 @@ def read_shard(path: str | os.PathLike, frames: np.ndarray) -> dict[tuple[str, s
     """The wanted frames of every video in a shard.
 
     BadInput if the file is damaged, a wanted frame is missing or there twice, or an image is empty.
-
-    Returns
-    -------
-    dict
-        (simulation, texture, viewpoint) -> list of `Frame`.
+    The result maps (simulation, texture, viewpoint) to a list of `Frame`.
     """
     table = read_parquet(path, COLUMNS)
     wanted = set(frames.tolist())
@@ -160,15 +156,8 @@ def read_frames(
 ) -> Iterator[tuple[str, int, bytes]]:
     """The images of a file, or of one video in it, in the order in which they were written.
 
-    BadInput if the file is missing, damaged, or lacks a column.
-
-    Yields
-    ------
-    video : str
-    position : int
-        In the video, from 0.
-    png : bytes
-        Undecoded; empty where the file has none.
+    BadInput if the file is missing, damaged, or lacks a column. Each comes as its video, its
+    position in that from 0, and the undecoded PNG, empty where the file has none.
     """
     table = read_parquet(path, ["video", "position", "image"])
     if video is not None:

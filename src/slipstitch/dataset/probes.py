@@ -50,9 +50,7 @@ def standardised(features: np.ndarray, training: np.ndarray) -> np.ndarray:
 def linear_answers(features: np.ndarray, labels: np.ndarray, sides: np.ndarray) -> np.ndarray:
     """Classes by a ridge regression on indicators of the classes.
 
-    Returns
-    -------
-    ndarray of int, shape (n,)
+    Return integers of shape (n,).
     """
     train, validation = sides == "train", sides == "validation"
     known = features[train].astype(np.float64)

@@ -232,13 +232,10 @@ def _digest(*words: object) -> bytes:
 def grid_rows(config: Config) -> list[dict]:
     """Rows of ``grid.parquet``.
 
-    Returns
-    -------
-    list of dict
-        Keys ``kind`` (material, friction, replicate, texture, viewpoint, simulation), ``id``,
-        ``name``, ``value`` (friction coefficient; azimuth in degrees of a viewpoint; replicate
-        number; NaN if none), ``role`` and ``floor_role`` (train or test), and for simulations
-        ``material_id, friction_id, replicate_id, material, friction, seed`` (else None).
+    Keys are ``kind`` (material, friction, replicate, texture, viewpoint, simulation), ``id``,
+    ``name``, ``value`` (friction coefficient; azimuth in degrees of a viewpoint; replicate number;
+    NaN if none), ``role`` and ``floor_role`` (train or test), and for simulations ``material_id,
+    friction_id, replicate_id, material, friction, seed`` (else None).
     """
     rows: list[dict[str, Any]] = [
         {"kind": "material", "id": material_id(name), "name": name}

@@ -87,12 +87,8 @@ def filmed_friction(simulation: Simulation, shown: Interpolation | None) -> floa
 def between(row: Sequence[Simulation], friction: float, height_m: float) -> dict[str, float]:
     """Weights of the two simulations of a row on either side of a coefficient; or of one at it.
 
-    Parameters
-    ----------
-    row : sequence of Simulation
-        Of one fabric, by friction coefficient, all below to above `friction`.
-    height_m : float
-        Of the clamps while the cloth is dragged.
+    The row is of one fabric, by friction coefficient, all below to above `friction`; the height is
+    of the clamps while the cloth is dragged.
     """
     for below, above in itertools.pairwise(row):
         if friction <= above.friction:

@@ -12,13 +12,6 @@ def sampled_frames(frames_total: int, frames_sampled: int) -> np.ndarray:
     of 300) the interval is exactly regular, otherwise it differs by one frame at most. BadInput if
     a number is not positive or more frames are asked for than there are.
 
-    Parameters
-    ----------
-    frames_total : int
-        Frames of the video, at least 1.
-    frames_sampled : int
-        Frames to keep, 1 ... frames_total.
-
     Returns
     -------
     ndarray of int64, shape (frames_sampled,)

@@ -28,17 +28,14 @@ def split_by_video(
 ) -> dict[str, str]:
     """Every video's side, drawn at random; BadInput with fewer than two videos.
 
+    Return by video id train, validation or test.
+
     Parameters
     ----------
     videos : sequence of str
         Ids; their order does not matter.
     validation_fraction, test_fraction : float
         Shares of the videos, rounded; at least one video tests and one trains.
-
-    Returns
-    -------
-    dict
-        Video id -> train, validation or test.
     """
     if len(videos) < 2:
         raise BadInput(f"{len(videos)} video(s): a split by video requires at least 2")
@@ -101,6 +98,7 @@ def split_by_simulation(
     materials and frictions: the network has seen each, never both together. They are divided
     between validation and test for each friction separately, cycling through the materials.
     BadInput if holding out would leave a material or a friction coefficient without training.
+    Return by the simulation's triple train, validation or test.
 
     Parameters
     ----------
@@ -112,11 +110,6 @@ def split_by_simulation(
         Where the rounds of the materials start.
     hold_out : {"auto", "replicate", "pair"}
         "auto": replicates if every pair has two at least.
-
-    Returns
-    -------
-    dict
-        The simulation's triple -> train, validation or test.
     """
     everything = sorted(set(simulations))
     materials = sorted({material for material, _, _ in everything})

@@ -36,10 +36,7 @@ def _best(rows: Mapping[str, Mapping[str, Any]], of_probes: bool) -> str | None:
 def headline(config: Config, scores: Scores, predictions) -> dict[str, Any] | None:
     """The best network on simulations that it never saw, beside the best probe; None without.
 
-    Returns
-    -------
-    dict or None
-        What the sentences of the first screen say, and the figure of the predictions.
+    Return what the sentences of the first screen say, and the figure of the predictions.
     """
     for split in HELD_OUT:
         rows = scores.metrics.get(split, {})

@@ -34,12 +34,8 @@ def predicted_against_true(
 ) -> Figure | None:
     """Predicted against true friction, a mark a video with its 90 % interval.
 
-    Parameters
-    ----------
-    rows : sequence of mapping
-        Rows of predictions.parquet: one network, one split.
-    materials : mapping
-        Id of a fabric, as simulations are named by it -> its name.
+    Rows are of predictions.parquet, of one network and split; `materials` has the name of a fabric
+    by its id, as simulations are named by it.
     """
     if not rows:
         return None

@@ -38,10 +38,7 @@ def closest_frictions(frictions: Sequence[float]) -> float | None:
 def page_context(results: Results, now: datetime) -> dict[str, Any]:
     """Everything that the template shows.
 
-    Returns
-    -------
-    dict
-        One entry per section; None or empty where a stage was not run.
+    Return an entry a section; None or empty where a stage was not run.
     """
     config = results.config
     found = scores.Scores(
@@ -134,6 +131,8 @@ def write_report(
 ) -> dict[str, Any]:
     """Write the page; BadInput if there is no such folder, or a file in it cannot be read.
 
+    Return the page's context.
+
     Parameters
     ----------
     config : Config
@@ -142,11 +141,6 @@ def write_report(
         The results folder; stages that are missing in it are said to be missing.
     out : path
         The HTML file.
-
-    Returns
-    -------
-    dict
-        The page's context.
     """
     started = start_clock()
     found = Results(results, config)

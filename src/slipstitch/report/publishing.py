@@ -96,7 +96,8 @@ def publish(
 
     BadInput if `out` holds anything else, or results; if the run is not finished, without
     `partial`; if there is nothing of it; if a file is damaged; if the scores are of other models or
-    of another dataset; with `update` if `out` is of another run.
+    of another dataset; with `update` if `out` is of another run. Return the content of
+    ``published.json``: ``name``, ``partial``, ``missing`` and SHA-256 of every file.
 
     Parameters
     ----------
@@ -110,12 +111,6 @@ def publish(
     update : bool
         Keep what the folder has and the results have no longer, as images' digests whose files were
         deleted since: of the same dataset and configuration.
-
-    Returns
-    -------
-    dict
-        The content of ``published.json``: ``name``, ``partial``, ``missing`` and SHA-256 of every
-        file.
     """
     started = start_clock()
     found, out = Results(results, config), Path(out)

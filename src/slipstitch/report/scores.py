@@ -51,10 +51,7 @@ def _shares(network: str) -> list[Metric]:
 class Scores:
     """The scores of a run, by test set, network, metric and viewpoint.
 
-    Parameters
-    ----------
-    metrics, details : mapping
-        Contents of metrics.json and details.json.
+    Of the contents of metrics.json and details.json.
     """
 
     def __init__(self, metrics: Mapping[str, Any] | None, details: Mapping[str, Any] | None):

@@ -96,11 +96,7 @@ def save_figure(
 ) -> None:
     """Write a figure to a file, without date and with fixed ids.
 
-    Parameters
-    ----------
-    kind : {"png", "svg"}
-    dots_per_inch : int
-        Of a PNG.
+    The kind is png or svg, the resolution of a PNG alone.
     """
     with matplotlib.rc_context(FIXED_IDS):
         figure.savefig(

@@ -61,12 +61,7 @@ def span(interval: Sequence[float], digits: int = 3) -> str:
 def duration(seconds: float | None, digits: int = 1, unknown: str = NONE) -> str:
     """A time in the unit that reads best; hours always to a tenth.
 
-    Parameters
-    ----------
-    seconds : float or None
-        None or not a number: `unknown`.
-    digits : int
-        Of seconds and minutes.
+    None and what is not a number are `unknown`; `digits` is of seconds and minutes.
     """
     if seconds is None or seconds != seconds:
         return unknown
@@ -122,10 +117,7 @@ def shortened(text: str, most: int) -> str:
 def evenly(items: Sequence[Any], most: int) -> list[Any]:
     """At most that many items, evenly from first to last.
 
-    Parameters
-    ----------
-    most : int
-        At least 2 if there are more items than that.
+    That must be at least 2 if there are more items.
     """
     if len(items) <= most:
         return list(items)

@@ -142,14 +142,8 @@ def _root(root: str | Path | None) -> Path:
 def code_sources(stage: str, root: str | Path | None = None) -> list[Path]:
     """Return the files that the result of `stage` depends on, sorted by path.
 
-    ModuleNotFoundError if there is no such stage.
-
-    Parameters
-    ----------
-    stage : str
-        A key of `STAGES`.
-    root : path, optional
-        Folder that holds the package ``slipstitch``; the running one's by default.
+    ModuleNotFoundError if there is no such stage. The stage is a key of `STAGES`, the root the
+    folder that holds the package ``slipstitch``, the running one by default.
     """
     return list(_contents(stage, _root(root))[0])
 
@@ -169,12 +163,8 @@ def code_digest(
 ) -> str:
     """Return the SHA-256 of a stage's code (64 hexadecimal digits): sources and versions.
 
-    Parameters
-    ----------
-    stage, root
-        As for `code_sources`; the errors too.
-    versions : tuple of pairs, optional
-        Package and version, as a record names them; by default what is installed.
+    Stage and root are as for `code_sources`, and the errors; `versions` has pairs of package and
+    version, as a record names them, by default what is installed.
     """
     base = _root(root)
     contents, packages = _contents(stage, base)

@@ -121,18 +121,14 @@ def check_nesting(folder: Path) -> None:
 def check_parquet(path: Path, images: bool) -> str | None:
     """Whether a Parquet file holds what it seems to hold, by its footer alone.
 
-    Harmful if reading it could take far more memory than it has bytes.
+    Harmful if reading it could take far more memory than it has bytes. Return what is odd but
+    harmless: bytes of the file that belong to no column.
 
     Parameters
     ----------
     images : bool
         Whether it is a shard: its images must be stored as they are, so that reading them takes no
         more memory than the file has bytes.
-
-    Returns
-    -------
-    str or None
-        What is odd but harmless: bytes of the file that belong to no column.
     """
     with reading(path, "Parquet file"), pq.ParquetFile(path) as file:
         footer, size = file.metadata, os.path.getsize(path)

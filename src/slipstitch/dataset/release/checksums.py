@@ -36,10 +36,7 @@ def check_key(key: str | os.PathLike) -> None:
 def sign(folder: Path, key: str | os.PathLike) -> None:
     """Write ``SHA256SUMS.sig`` beside the sums of a release; SlipstitchError if it cannot sign.
 
-    Parameters
-    ----------
-    key : path
-        A private SSH key, or a public one whose private half an agent holds.
+    The key is a private SSH key, or a public one whose private half an agent holds.
     """
     words = ["-Y", "sign", "-q", "-n", NAMESPACE, "-f", os.fspath(key), str(folder / SUMS)]
     answer = subprocess.run([_tool(), *words], capture_output=True, text=True)
@@ -51,19 +48,9 @@ def sign(folder: Path, key: str | os.PathLike) -> None:
 def verify(folder: Path, signers: Path) -> tuple[str | None, str | None]:
     """Verify the signature of a release.
 
-    BadInput if there is no such file of signers, or no ``ssh-keygen``.
-
-    Parameters
-    ----------
-    signers : path
-        Who may sign, as ``ssh-keygen`` wants it: lines of a name and a public key.
-
-    Returns
-    -------
-    signer : str or None
-        Who signed it.
-    problem : str or None
-        What is wrong instead.
+    BadInput if there is no such file of signers, or no ``ssh-keygen``. Return who signed it and
+    None, or None and what is wrong instead. The file of signers says who may sign, as
+    ``ssh-keygen`` wants it: lines of a name and a public key.
     """
     tool = _tool()
     if not signers.is_file():

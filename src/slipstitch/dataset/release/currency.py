@@ -79,12 +79,8 @@ def current_digest(
 ) -> str | None:
     """Digest of the stage's code; None if there is no such stage, or it cannot be read.
 
-    Parameters
-    ----------
-    root : path, optional
-        Folder of the package; the running one's by default.
-    versions : mapping, optional
-        Package -> version, as a record states them; by default what is installed.
+    The root is the folder of the package, the running one by default; `versions` are by package, as
+    a record states them, by default what is installed.
     """
     stated = None
     if versions is not None:
@@ -110,17 +106,14 @@ def config_changes(
 ) -> list[str]:
     """Configuration values that the artefact was made with and that are others now.
 
+    Return them as ``key: recorded -> now``. Only keys that the record holds, and that there still
+    are, are compared.
+
     Parameters
     ----------
     calibrated : mapping
         Path of a calibration, as records call it -> the settings that it chose. A simulation that
         was made from it was told to use these instead of those of `config`.
-
-    Returns
-    -------
-    list of str
-        ``key: recorded -> now``. Only keys that the record holds, and that there still are, are
-        compared.
     """
     recorded = artefact.record.get("config", {})
     now = config.model_dump(mode="json")
@@ -177,10 +170,7 @@ def recorded_entries(artefact: Artefact) -> dict[str, dict[str, Any]]:
 def catalogue_changes(artefact: Artefact) -> list[str]:
     """Entries of the catalogue that the artefact was made with and that are others now.
 
-    Returns
-    -------
-    list of str
-        ``catalogue.kind.name: recorded -> now``.
+    Return them as ``catalogue.kind.name: recorded -> now``.
     """
     then = recorded_entries(artefact)
     named = {kind: then.get(kind, ()) for kind in ("viewpoints", "textures", "floors")}

@@ -130,7 +130,8 @@ def locate(path: str, root: Path, outside: Mapping[str, Path]) -> Path:
 def collect(start: Iterable[str], root: Path, outside: Mapping[str, Path]) -> dict[str, Artefact]:
     """Records of the artefacts `start` and of everything behind them.
 
-    BadInput if a file is missing, or is no longer the one that something was made from.
+    BadInput if a file is missing, or is no longer the one that something was made from. Return them
+    by path, inputs before what was made from them.
 
     Parameters
     ----------
@@ -140,11 +141,6 @@ def collect(start: Iterable[str], root: Path, outside: Mapping[str, Path]) -> di
         Folder that the recorded paths are relative to.
     outside : mapping
         Where files are that a record calls by their name alone, because they lie elsewhere.
-
-    Returns
-    -------
-    dict
-        Path -> artefact, inputs before what was made from them.
     """
     found: dict[str, Artefact] = {}
 

@@ -202,6 +202,8 @@ def write_shards(
 ) -> dict[str, dict[str, Any]]:
     """Write all images, part by part; BadInput if a video is not where the manifest says.
 
+    Return by video the ``shard`` (path in the release) and the ``first_row`` in it.
+
     Parameters
     ----------
     sample_dir : path
@@ -214,11 +216,6 @@ def write_shards(
         The release; shards go to ``data/`` in it.
     progress : callable
         Wraps the list of files.
-
-    Returns
-    -------
-    dict
-        Video -> ``shard`` (path in the release) and ``first_row`` in it.
     """
     folder = out / FOLDER
     folder.mkdir()

@@ -36,11 +36,7 @@ def environment(folder: Path) -> jinja2.Environment:
 def render(template: Path, **context: Any) -> str:
     """A page from its template, which needs no other file.
 
-    Parameters
-    ----------
-    template : path
-        Beside the code that fills it; it may extend ``base.html.j2``.
-    context
-        What the template shows.
+    The template lies beside the code that fills it and may extend ``base.html.j2``; the context is
+    what it shows.
     """
     return environment(template.parent).get_template(template.name).render(**context)
