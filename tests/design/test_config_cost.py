@@ -16,39 +16,34 @@ from slipstitch.design.cost import (
     job_runtime_min,
 )
 
+ONE = {"grid": {"replicates": 1}, "render": {"pixels": 64}, "train": {"width": 0.25}}
+
 
 def stage(config, name):
     return next(one for one in estimate(config) if one.stage == name)
 
 
-def test_simulations_cost_in_proportion_to_their_number_and_simulated_time():
-    base = resolve_config({"grid": {"replicates": 1}})
-    twice = resolve_config({"grid": {"replicates": 2}})
-    long = resolve_config({"grid": {"replicates": 1}, "simulation": {"frames": 600}})
-    for more in (twice, long):
-        assert stage(more, "simulate").cpu_s == pytest.approx(2 * stage(base, "simulate").cpu_s)
-        assert stage(more, "simulate").disk_bytes == pytest.approx(
-            2 * stage(base, "simulate").disk_bytes
-        )
-    assert stage(twice, "simulate").jobs == 2 * stage(base, "simulate").jobs
+#: What changes -> of which stage, what grows, how many times.
+GROWTH = [
+    ({"grid": {"replicates": 2}}, "simulate", {"cpu_s": 2, "disk_bytes": 2, "jobs": 2}),
+    ({"simulation": {"frames": 600}}, "simulate", {"cpu_s": 2, "disk_bytes": 2, "jobs": 1}),
+    ({"render": {"pixels": 128}}, "sample", {"disk_bytes": 4}),
+    ({"render": {"pixels": 128}}, "render", {"jobs": 1}),
+    ({"train": {"width": 1.0}}, "train", {"cpu_s": 16}),
+]
 
 
-def test_images_cost_in_proportion_to_their_pixels():
-    small, large = (resolve_config({"render": {"pixels": pixels}}) for pixels in (64, 128))
-    assert stage(large, "sample").disk_bytes == pytest.approx(4 * stage(small, "sample").disk_bytes)
-    assert stage(large, "render").cpu_s > stage(small, "render").cpu_s
-    assert stage(large, "render").jobs == stage(small, "render").jobs
+@pytest.mark.parametrize(("sections", "name", "factors"), GROWTH)
+def test_costs_are_in_proportion_to_what_is_made(sections, name, factors):
+    base, more = (stage(resolve_config(ONE, one), name) for one in ({}, sections))
+    for what, factor in factors.items():
+        assert getattr(more, what) == pytest.approx(factor * getattr(base, what))
 
 
-def test_rendering_every_frame_costs_more_than_the_sampled_ones():
-    sampled = resolve_config({"render": {"frames": "sampled"}})
-    every = resolve_config({"render": {"frames": "all"}})
-    assert stage(every, "render").cpu_s > stage(sampled, "render").cpu_s
-
-
-def test_wider_networks_train_longer():
-    thin, wide = (resolve_config({"train": {"width": width}}) for width in (0.25, 1.0))
-    assert stage(wide, "train").cpu_s == pytest.approx(16 * stage(thin, "train").cpu_s)
+@pytest.mark.parametrize("more", [{"pixels": 128}, {"frames": "all"}])
+def test_larger_images_and_all_frames_cost_more_to_render(more):
+    base, costly = (stage(resolve_config({"render": one}), "render") for one in ({}, more))
+    assert costly.cpu_s > base.cpu_s
 
 
 def test_line_gives_jobs_time_and_disk():
