@@ -244,7 +244,7 @@ def _pictures(folder: Path) -> Found:
     camera = folder / "camera.json"
     whole = {
         "format": FORMAT, "image_size_px": [640, 480], "focal_px": [600.0, 600.0],
-        "principal_point_px": [320.0, 240.0], "rotation": np.eye(3).tolist(),
+        "principal_point_px": [320.0, 240.0], "rotation": np.diag([1.0, -1.0, -1.0]).tolist(),
         "translation_m": [0.0, 0.0, 1.0], "distortion": dict.fromkeys(DISTORTION, 0.0),
     }  # fmt: skip
     camera.write_text(json.dumps(whole))
