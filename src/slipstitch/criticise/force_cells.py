@@ -116,8 +116,8 @@ def _between_slips(time: np.ndarray, force: np.ndarray) -> float | None:
         peak = peaks[peaks > trough][0]
         risen = (force[trough : peak + 1] - force[trough]) / (force[peak] - force[trough])
         rise = slice(trough + np.argmax(risen > 0.2), trough + np.argmax(risen > 0.8))
-        slopes.append(_slope(time[rise], force[rise]))
-    slopes = [slope for slope in slopes if slope is not None]
+        slope = _slope(time[rise], force[rise])
+        slopes += [] if slope is None else [slope]
     if len(slopes) < FEWEST_RISES:
         return None
     middle = float(np.median(slopes))

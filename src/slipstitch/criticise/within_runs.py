@@ -81,7 +81,8 @@ def _runs(case: Case) -> list[_Run]:
     runs = case.tables["spring_slider_runs"]
     parts = dict(list(case.tables["spring_slider"].groupby("run_id", sort=False)))
     found = []
-    for (_, run), mass_kg in zip(runs.iterrows(), sum(masses_of(runs, case.nominal)), strict=True):
+    cloth, added = masses_of(runs, case.nominal)
+    for (_, run), mass_kg in zip(runs.iterrows(), cloth + added, strict=True):
         slider = Slider(float(mass_kg), run["spring_N_m"], 1e-3 * run["speed_mm_s"])
         trace = parts[run["run_id"]]
         if len(trace) < 20 or not np.ptp(trace["t_s"]) > 0 or slider.mass_kg <= 0:

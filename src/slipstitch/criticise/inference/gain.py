@@ -94,14 +94,14 @@ def held_out_gain(analysis: Analysis, candidates: list[Candidate]) -> dict:
     if total == 0:  # bounds only
         found, specimens = [float("nan")] * 6, 0
     else:
-        scores = np.array(scores)
-        differences = scores[:, 1] - scores[:, 0]
+        plain, extended = np.array(scores).T
+        differences = extended - plain
         estimate = differences.sum() / total
         spread = np.sum((differences - estimate * sizes) ** 2)
         error = np.sqrt(spread * specimens / max(specimens - 1, 1)) / total
         reach = student.ppf(0.975, max(specimens - 1, 1)) * error
         rmse = np.sqrt(np.sum(errors, axis=0) / total)
-        found = [estimate, estimate - reach, estimate + reach, scores[:, 0].sum() / total, *rmse]
+        found = [estimate, estimate - reach, estimate + reach, plain.sum() / total, *rmse]
     estimate, low, high, null_score, rmse_null, rmse_extended = (round(float(x), 5) for x in found)
     return {
         "estimate": estimate,

@@ -120,7 +120,9 @@ def slips_of_trace(trace: pd.DataFrame, slider: Slider, u_mN: float) -> Slips:
     """Find the slips of a run, recording by recording: nothing is known of what is between."""
     parts = trace.groupby(trace.get("recording", 0) * np.ones(len(trace)), sort=False)
     found = [
-        astuple(slips_of(*part[["t_s", "force_mN"]].to_numpy(float).T, slider, u_mN))
+        astuple(
+            slips_of(part["t_s"].to_numpy(float), part["force_mN"].to_numpy(float), slider, u_mN)
+        )
         for _, part in parts
         if len(part) > 2
     ]

@@ -185,13 +185,20 @@ def ranking_picture(verdict: dict, most: int = 10) -> Figure:
 def prediction_picture(analysis: Analysis, extended: Fit | None) -> Figure:
     """Standardised residuals of all features, null and extended, against a standard normal."""
     figure, axes = _figure()
-    filled = {"density": True, "histtype": "stepfilled", "alpha": 0.35}
+    edges = np.linspace(-6, 6, 41).tolist()
     for fitted, colour, label in _fits(analysis, extended):
         z = standardised_residuals(analysis, fitted)
         z = z[analysis.state.keep & ~analysis.measurements.lower_bound]
         if len(z):  # else bounds only
-            edges = np.linspace(-6, 6, 41)
-            axes.hist(np.clip(z, -5.99, 5.99), edges, color=colour, label=label, **filled)
+            axes.hist(
+                np.clip(z, -5.99, 5.99),
+                edges,
+                density=True,
+                histtype="stepfilled",
+                alpha=0.35,
+                color=colour,
+                label=label,
+            )
     x = np.linspace(-6, 6, 200)
     normal = np.exp(-0.5 * x**2) / np.sqrt(2 * np.pi)
     axes.plot(x, normal, color=INK, lw=1.2, label="if the model is correct")
