@@ -24,11 +24,14 @@ ANSWERS = {"bending_error": {("bending_error",), ("mass_error",)}}
 
 
 def criticised(folder):
-    out = {name: str(folder / f"{name}.out") for name in ("verdict", "model", "again", "page")}
-    arguments = ["--out", out["verdict"], "--model", out["model"], "--report", out["page"]]
-    assert not main(["criticise", str(folder), *arguments, "--resimulate", out["again"]])
-    verdict, again = (json.loads((folder / f"{n}.out").read_text()) for n in ("verdict", "again"))
-    return verdict, again, yaml.safe_load((folder / "model.out").read_text())
+    files = {
+        "--out": "verdict.json", "--model": "model.yaml", "--report": "page.html",
+        "--resimulate": "again.json",
+    }  # fmt: skip
+    words = [word for option, name in files.items() for word in (option, str(folder / name))]
+    assert main(["criticise", str(folder), *words]) == 0
+    verdict, again = (json.loads((folder / f"{n}.json").read_text()) for n in ("verdict", "again"))
+    return verdict, again, yaml.safe_load((folder / "model.yaml").read_text())
 
 
 def named(verdict):
@@ -58,7 +61,7 @@ def test_every_planted_effect_is_found_and_the_new_simulation_is_closer(name, tm
     assert again["all"]["gain_ci95"][0] > 0
     assert again["all"]["rmse_extended_mm"] < 1.1 * 1.5  # of the noise
     assert model["friction_law"]["face"]["mechanisms"].keys() <= {name}
-    assert "simulated again" in (tmp_path / "page.out").read_text()
+    assert "simulated again" in (tmp_path / "page.html").read_text()
 
 
 @pytest.mark.slow
