@@ -19,20 +19,15 @@ from slipstitch.base.page.wording import breaking, percent, size, span, with_int
 from slipstitch.learning.evaluation.metrics import METRICS
 
 
-def test_sizes_and_intervals_read_well():
+def test_numbers_read_well_and_a_narrow_column_breaks_before_the_spread_only():
     assert [size(value) for value in (0, 2.5e3, 3.456e6, 7e9, 1.5e12)] == [
         "0 kB", "2.5 kB", "3.46 MB", "7 GB", "1.5 TB",
     ]  # fmt: skip
     assert with_interval(0.844, (0.439, 1.231)) == "0.84 [0.44, 1.23]"
     assert with_interval(0.123, (0.04, 0.21), 0, 100.0, " %") == "12 % [4, 21]"
     assert span((0.1, 0.14), 2) == "0.10 … 0.14"
-
-
-def test_a_narrow_column_breaks_before_the_spread_only():
-    assert breaking(percent(0.5, 0.02)).split(" ") == [
-        "50.0",
-        "±\N{NO-BREAK SPACE}2.0\N{NO-BREAK SPACE}%",
-    ]
+    spread = "±\N{NO-BREAK SPACE}2.0\N{NO-BREAK SPACE}%"
+    assert breaking(percent(0.5, 0.02)).split(" ") == ["50.0", spread]
 
 
 @styled

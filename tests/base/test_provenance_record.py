@@ -42,12 +42,16 @@ def test_record_says_what_made_it(tmp_path, monkeypatch):
     json.dumps(record, allow_nan=False)
 
 
-def test_record_names_no_place_on_this_machine(tmp_path, monkeypatch):
+def test_record_names_no_place_on_this_machine_and_an_absent_input_is_an_error(
+    tmp_path, monkeypatch
+):
     (tmp_path / "work").mkdir()
     (tmp_path / "in.txt").write_text("input")
     monkeypatch.chdir(tmp_path / "work")
     record = provenance_record("render", inputs=[tmp_path / "in.txt"])
     assert str(tmp_path) not in json.dumps(record)
+    with pytest.raises(FileNotFoundError):
+        provenance_record("render", inputs=[tmp_path / "absent"])
 
 
 def test_times_count_from_the_given_start():
@@ -58,11 +62,6 @@ def test_times_count_from_the_given_start():
     record = provenance_record("render", started=started)
     assert 0.2 <= record["cpu_s"] < 5
     assert record["wall_s"] >= 0.2
-
-
-def test_missing_input_is_an_error(tmp_path):
-    with pytest.raises(FileNotFoundError):
-        provenance_record("render", inputs=[tmp_path / "absent"])
 
 
 def test_sidecar_reads_back(tmp_path):
@@ -92,14 +91,11 @@ def test_parquet_carries_metadata_and_record_beside_other_keys(tmp_path):
     assert pq.read_table(path).column("frame").to_pylist() == [0, 1]
 
 
-def test_metadata_refuses_what_json_cannot_hold(tmp_path):
+def test_a_file_without_record_says_so_and_metadata_refuse_what_json_cannot_hold(tmp_path):
     table = pa.table({"x": [1]})
     with pytest.raises(ValueError, match="JSON compliant"):
         attach_metadata(table, {"value": float("nan")})
-
-
-def test_file_without_record_says_so(tmp_path):
-    pq.write_table(pa.table({"x": [1]}), tmp_path / "x.parquet")
+    pq.write_table(table, tmp_path / "x.parquet")
     assert read_metadata(tmp_path / "x.parquet") == {}
     with pytest.raises(FileNotFoundError):
         read_provenance(tmp_path / "x.parquet")
