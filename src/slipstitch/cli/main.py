@@ -121,14 +121,10 @@ def _run(words: list[str]) -> int:
 def main(arguments: list[str] | None = None) -> int:
     """Run one verb.
 
-    Its words are those after ``slipstitch``; those of the process by default.
-
-    Returns
-    -------
-    int
-        0 success, 2 bad input, 3 an alarm, 1 anything else. Unexpected exceptions are
-        raised: their traceback reports a bug. Errors of the machine (disk, memory,
-        permission) are reported in one line, too.
+    Its words are those after ``slipstitch``; those of the process by default. Return 0 for success,
+    2 for bad input, 3 for an alarm, 1 for anything else. Unexpected exceptions are raised: their
+    traceback reports a bug. Errors of the machine (disk, memory, permission) are reported in one
+    line, too.
     """
     for stream in (sys.stdout, sys.stderr):  # file names may not be valid text
         if hasattr(stream, "reconfigure"):

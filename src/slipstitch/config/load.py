@@ -161,16 +161,10 @@ def resolve_config(
 ) -> Config:
     """The configuration that mappings make, later ones overriding earlier ones key by key.
 
-    BadInput in one line, for every problem: the source, the key, what is allowed and what it is.
-
-    Parameters
-    ----------
-    *mappings
-        As read from YAML or JSON; keys that none holds have their default.
-    sources : tuple of str
-        Names of the mappings, to say in an error where a key stands.
-    words : bool
-        Whether numbers may come as strings: ``snakemake --config`` makes them so.
+    Mappings are as read from YAML or JSON; keys that none holds have their default. `sources` names
+    the mappings, to say in an error where a key stands; with `words`, numbers may come as strings:
+    ``snakemake --config`` makes them so. BadInput in one line, for every problem: the source, the
+    key, what is allowed and what it is.
     """
     plain = [_numbers(mapping, words) for mapping in mappings]
     merged: dict[str, Any] = {}
@@ -212,16 +206,9 @@ def load_config(
 ) -> Config:
     """The configuration in YAML or JSON files, later ones overriding earlier ones key by key.
 
-    BadInput as `read_mapping` and `resolve_config`.
-
-    Parameters
-    ----------
-    calibration : path, optional
-        Its verified settings of simulations override those of the files.
-    overrides : mapping of mappings, optional
-        What overrides all that, by the name that an error shall say.
-    words : bool
-        See `resolve_config`.
+    The verified settings of a calibration override those of the files, and `overrides` all that, by
+    the name that an error shall say. BadInput as `read_mapping` and `resolve_config`, where `words`
+    is explained.
     """
     parts: list[tuple[str, Mapping]] = [(os.fspath(path), read_mapping(path)) for path in paths]
     if calibration:

@@ -32,14 +32,8 @@ class Frame:
 def decode(png: bytes, where: str, pixels: int | None = None) -> np.ndarray:
     """An image file's content as uint8 RGB, shape (pixels, pixels, 3).
 
-    BadInput if it cannot be decoded, is not RGB, not square, or of another size.
-
-    Parameters
-    ----------
-    where : str
-        What to call the image in an error.
-    pixels : int, optional
-        Side that it must have; any square by default.
+    An error calls the image `where`. BadInput if it cannot be decoded, is not RGB, not square, or
+    of another side than `pixels`, if that is given.
     """
     check_image(png, where)
     try:

@@ -62,19 +62,21 @@ def read_videos(
 ) -> Videos:
     """Decode the chosen videos of a dataset.
 
-    BadInput if a file is missing, damaged or altered, a video has not all its frames in order, or
-    nothing is chosen. Digests of the decoded pixels are compared with the manifest's.
-
     Parameters
     ----------
     dataset : path
         Folder with ``manifest.parquet`` and ``{simulation}.parquet``.
     chosen : callable
         Says of a manifest row whether to read its video.
-    pixels : int, optional
-        Side of the images, if not as rendered; they are averaged down (or blown up) to it.
-    frames : int, optional
-        Frames to keep of those in the dataset, at regular intervals from the first; all by default.
+    pixels, frames : int, optional
+        Side of the images, averaged down (or blown up) to it, and number of the frames, at regular
+        intervals from the first; by default as rendered, and all.
+
+    Raises
+    ------
+    BadInput
+        If a file is missing, damaged or altered, a video has not all its frames in order, or
+        nothing is chosen. Digests of the decoded pixels are compared with the manifest's.
     """
     every, digest = read_manifest(dataset)
     rows = [row for row in every if chosen(row)]

@@ -146,15 +146,8 @@ def _held_pool(
 ) -> list[list[tuple[str, str]]]:
     """Groups of (material, replicate) that one friction coefficient holds out, in turn.
 
-    Parameters
-    ----------
-    replicates : mapping
-        Material -> its replicates at the coefficient.
-    row, first : int
-        Number of the coefficient; where the rounds of the materials start.
-    fraction : float
-        Share to hold out.
-    hold_out : {"replicate", "pair"}
+    `replicates` has those of each material at the coefficient, number `row` of all; the rounds of
+    the materials start at `first`; `fraction` is held out, of whole pairs or replicates.
     """
     materials = list(replicates)
     held = _held(len(materials), fraction) if hold_out == "pair" else len(materials)

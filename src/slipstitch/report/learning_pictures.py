@@ -183,12 +183,8 @@ def cumulative(
 ) -> Figure | None:
     """Share of videos, or of pairs of captures, against the error allowed: a panel a model.
 
-    Parameters
-    ----------
-    panels : mapping
-        Title -> name of a curve, one of `CURVES` -> errors, shape (n,).
-    paper_shares : mapping
-        Name of a curve -> the paper's share of real pairs with an error of 0.1 at most.
+    Panels have errors of shape (n,) by title and by name of a curve, one of `CURVES`;
+    `paper_shares` the paper's share of real pairs with an error of 0.1 at most, by name of a curve.
     """
     errors = [off for curves in panels.values() for off in curves.values() if len(off)]
     if not errors:

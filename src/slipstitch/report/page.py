@@ -131,16 +131,7 @@ def write_report(
 ) -> dict[str, Any]:
     """Write the page; BadInput if there is no such folder, or a file in it cannot be read.
 
-    Return the page's context.
-
-    Parameters
-    ----------
-    config : Config
-        What was to be run.
-    results : path
-        The results folder; stages that are missing in it are said to be missing.
-    out : path
-        The HTML file.
+    Stages that are missing in the results are said to be missing. Return the page's context.
     """
     started = start_clock()
     found = Results(results, config)

@@ -60,20 +60,9 @@ class History:
 class Results:
     """A results folder. Everything is read when asked for; what is not there is None or empty.
 
-    BadInput if there is no such folder; later, if a file in it cannot be read.
-
-    Parameters
-    ----------
-    folder : path
-        The folder.
-    config : Config
-        What the folder is to hold.
-
-    Attributes
-    ----------
-    read : set of Path
-        The results that were read so far; what is known of the runs themselves (journal, logs,
-        costs) does not count.
+    The configuration says what the folder is to hold. `read` has the results that were read so far;
+    what is known of the runs themselves (journal, logs, costs) does not count. BadInput if there is
+    no such folder; later, if a file in it cannot be read.
     """
 
     def __init__(self, folder: str | os.PathLike, config: Config):

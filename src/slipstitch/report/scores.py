@@ -95,12 +95,8 @@ def beside_paper(
 ) -> Table | None:
     """The paper's shares beside ours; None if nothing of the first column was run.
 
-    Parameters
-    ----------
-    columns : mapping
-        (test set, viewpoint or None for all) -> heading; those that were not run are left out.
-    quoted : mapping
-        (network, metric) -> the paper's figure, of so many `videos`.
+    Columns are headings by test set and viewpoint, None for all; those that were not run are left
+    out. `quoted` has the paper's figures by network and metric, of so many `videos`.
     """
     shown = [
         key for key in columns if any(scores.detail(key[0], one, key[1]) for one in NETWORK_TITLES)

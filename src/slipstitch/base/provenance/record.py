@@ -152,19 +152,13 @@ def provenance_record(
     stage : str
         A key of `slipstitch.base.provenance.code.STAGES`; gives the code digest.
     inputs : iterable of paths
-        Files that were read.
+        Files that were read; each with its SHA-256 in the record.
     config : mapping or pydantic model
         The configuration keys that were used.
     started : tuple, optional
         What `start_clock` returned when the work began; by default the times count from the start
-        of the process (CPU) and from the import of this module (wall).
-
-    Returns
-    -------
-    dict
-        Keys ``stage, inputs, config, code_digest, git_commit, git_dirty, versions, seed,
-        host_kind, wall_s, cpu_s``; ``inputs`` maps each path to its SHA-256; CPU seconds include
-        ended child processes, both times earlier attempts. Holds only what JSON can hold.
+        of the process (CPU) and from the import of this module (wall). CPU seconds include ended
+        child processes, both times earlier attempts.
     """
     wall_then, cpu_then = started or _PROCESS_START
     commit, dirty = _git()

@@ -164,16 +164,10 @@ def audit_release(
 ) -> Audit:
     """Audit a release; BadInput if the folder is no release, or cannot be read without harm.
 
-    Parameters
-    ----------
-    config : Config, optional
-        Today's configuration, to compare with; the code of today is compared anyway.
-    expected : str, optional
-        SHA-256 that ``SHA256SUMS`` must have, as the publisher states it elsewhere.
-    jobs : int
-        Threads.
-    signers : path, optional
-        Who may have signed it; see `slipstitch.dataset.release.signature.verify`.
+    The code of today is compared anyway, a `config` where one is given; `expected` is the SHA-256
+    that ``SHA256SUMS`` must have, as the publisher states it elsewhere; `jobs` is a number of
+    threads, and `signers` says who may have signed it, see
+    `slipstitch.dataset.release.checksums.verify`.
     """
     with limited_memory():
         return _audit(folder, config, expected, jobs, signers)

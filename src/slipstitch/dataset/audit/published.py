@@ -98,14 +98,9 @@ def audit_published(
 ) -> PublishedAudit:
     """Audit a folder that `slipstitch publish` wrote.
 
-    BadInput if its index cannot be read, or the folder cannot be read without harm.
-
-    Parameters
-    ----------
-    shipped : str
-        SHA-256 of the weights that come with Slipstitch.
-    recompute : callable, optional
-        Predictions -> the scores that they give, to compare with the published ones.
+    `shipped` is the SHA-256 of the weights that come with Slipstitch; `recompute` gives of
+    predictions their scores, to compare with the published ones. BadInput if its index cannot be
+    read, or the folder cannot be read without harm.
     """
     with limited_memory():
         check_entries(folder)

@@ -77,13 +77,8 @@ def rebuild(contents: Contents, clip: str) -> Rebuilt:
     """Render a clip again with the code that is installed.
 
     From the simulations that the release carries; where it carries none, they are made again too.
-
-    Raises
-    ------
-    BadInput
-        If the release has no such clip, or lacks what it takes.
-    SlipstitchError
-        If the simulation or the rendering fails.
+    BadInput if the release has no such clip, or lacks what it takes; SlipstitchError if the
+    simulation or the rendering fails.
     """
     row = find_clip(contents, clip)
     stages = ("simulate", "render", "calibrate.calibration")

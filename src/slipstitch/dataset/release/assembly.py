@@ -141,25 +141,10 @@ def write_release(
 ) -> Released:
     """Write a release of the sampled dataset.
 
-    Parameters
-    ----------
-    config : Config
-        What the results were made with.
-    results : path
-        Folder of the results, ``sample/``, ``render/`` and the others in it.
-    out : path
-        The release; must not exist yet.
-    project : path
-        Checkout of the code that runs.
-    key : path, optional
-        SSH key to sign it with.
-
-    Raises
-    ------
-    BadInput
-        If results are missing, altered or not up to date, or `out` exists.
-    SlipstitchError
-        If the disk is full; nothing is left then.
+    The folder `results`, with ``sample/``, ``render/`` and the others in it, was made with `config`
+    by the code of the checkout `project`; `out` must not exist yet. An SSH key signs the release.
+    BadInput if results are missing, altered or not up to date, or `out` exists; SlipstitchError if
+    the disk is full: nothing is left then.
     """
     started = start_clock()
     results, out = Path(results), Path(out)

@@ -79,16 +79,15 @@ def split_columns(rows: Sequence[Row], config: Config) -> dict[str, list[str | N
 
     The coefficients and fabrics that are held out are simulated ones. A video whose cloth is
     interpolated never tests them. It trains unless a held-out fabric is in its cloth, or a held-out
-    coefficient is one of its simulations' or lies between these.
+    coefficient is one of its simulations' or lies between these. ``release.unseen_share`` is the
+    share of fabrics and inner friction coefficients that are kept for testing, the seed draws the
+    fabrics.
 
     Parameters
     ----------
     rows : sequence of mappings
         The sample stage's manifest: ids, columns ``split_*`` (sides), ``*_role`` (train or test),
         ``material`` and ``friction``.
-    config : Config
-        Its grid and interpolated films; ``release.unseen_share`` is the share of fabrics and inner
-        friction coefficients that are kept for testing, the seed draws the fabrics.
 
     Returns
     -------

@@ -128,19 +128,11 @@ def locate(path: str, root: Path, outside: Mapping[str, Path]) -> Path:
 
 
 def collect(start: Iterable[str], root: Path, outside: Mapping[str, Path]) -> dict[str, Artefact]:
-    """Records of the artefacts `start` and of everything behind them.
+    """Records of the artefacts `start` and of everything behind them, by path, inputs first.
 
-    BadInput if a file is missing, or is no longer the one that something was made from. Return them
-    by path, inputs before what was made from them.
-
-    Parameters
-    ----------
-    start : iterable of str
-        Paths as records call them, relative to `root`.
-    root : path
-        Folder that the recorded paths are relative to.
-    outside : mapping
-        Where files are that a record calls by their name alone, because they lie elsewhere.
+    Paths are as records call them, relative to `root`; `outside` says where files are that a record
+    calls by their name alone, because they lie elsewhere. BadInput if a file is missing, or is no
+    longer the one that something was made from.
     """
     found: dict[str, Artefact] = {}
 

@@ -202,20 +202,9 @@ def write_shards(
 ) -> dict[str, dict[str, Any]]:
     """Write all images, part by part; BadInput if a video is not where the manifest says.
 
-    Return by video the ``shard`` (path in the release) and the ``first_row`` in it.
-
-    Parameters
-    ----------
-    sample_dir : path
-        Folder of the sample stage.
-    rows : sequence of mappings
-        Its manifest: ``video``, ``file``, ``frames``.
-    part_of : mapping
-        Video -> part.
-    out : path
-        The release; shards go to ``data/`` in it.
-    progress : callable
-        Wraps the list of files.
+    The `rows` are of the manifest of the sample stage, whose folder is `sample_dir`; shards go to
+    ``data/`` in `out`; `progress` wraps the list of files. Return by video the ``shard`` (path in
+    the release) and the ``first_row`` in it.
     """
     folder = out / FOLDER
     folder.mkdir()
