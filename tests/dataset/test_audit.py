@@ -5,6 +5,7 @@ import json
 import random
 import re
 import shutil
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
@@ -506,18 +507,24 @@ def test_changed_code_makes_its_stage_stale(original, monkeypatch):
     assert [(one.where, one.what) for one in audit.findings] == [("render", "its code has changed")]
 
 
+def hold_in_every_commit(monkeypatch, write):
+    """Let any commit be known, with what `write` puts into the folder."""
+    folder = tempfile.TemporaryDirectory()
+    write(Path(folder.name))
+    monkeypatch.setattr(staleness, "_unpacked", lambda checkout, commit: folder)
+
+
 def test_commit_that_holds_other_code_is_found(forger, monkeypatch):
-    def other_code(checkout, commit, folder):
+    def other_code(folder):
         shutil.copytree(ROOT / "src/slipstitch", folder / "src/slipstitch")
         (folder / "src/slipstitch/physics/simulation/trajectory.py").write_text("# other\n")
-        return True
 
     commit = {"git_commit": "ab" * 20, "git_dirty": False}
     forger.edit_records("*", lambda one: (one["provenance"] or {}).update(commit))
     forger.reseal()
     said = audit_release(forger.release).notes
     assert any("abababababab is not in this checkout" in note for note in said)
-    monkeypatch.setattr(staleness, "_extract", other_code)
+    hold_in_every_commit(monkeypatch, other_code)
     broken = found(forger.release, Kind.BROKEN)
     assert {"simulate", "render", "sample"} & set(broken)
     assert len(broken["simulate"]) == 144
@@ -526,9 +533,8 @@ def test_commit_that_holds_other_code_is_found(forger, monkeypatch):
 def test_older_sources_are_not_compared(forger, monkeypatch):
     """Of a release, or a commit, of before the stages that are known now."""
 
-    def older(checkout, commit, folder):
+    def older(folder):
         (folder / "src/slipstitch/sample").mkdir(parents=True)
-        return True
 
     commit = {"git_commit": "ab" * 20, "git_dirty": False, "code_digest": "0" * 64}
     forger.edit_records("*", lambda one: (one["provenance"] or {}).update(commit))
@@ -542,7 +548,7 @@ def test_older_sources_are_not_compared(forger, monkeypatch):
     forger.edit_records("render/*", of_then)
     (forger.release / "code/src/slipstitch/dataset").rename(forger.release / "code/src/sample")
     forger.reseal()
-    monkeypatch.setattr(staleness, "_extract", older)
+    hold_in_every_commit(monkeypatch, older)
     audit = audit_release(forger.release)
     assert audit.verdict == "stale", audit.findings[:3]
     assert {"code/src", "commit abababababab"} <= {
@@ -558,11 +564,10 @@ def test_simulations_that_quote_another_convergence_study_are_stale(
     former = tmp_path / MEASURED.name
     former.write_text(MEASURED.read_text().replace('"mean_distance_m": 0.001', '"mean_m": 1'))
 
-    def of_commit(checkout, commit, folder):
+    def of_commit(folder):
         shutil.copytree(ROOT / "src/slipstitch", folder / "src/slipstitch")
         if known:
             shutil.copy2(former, folder / "src/slipstitch/physics/simulation")
-        return True
 
     def quote(record):
         if record["provenance"]:
@@ -572,7 +577,7 @@ def test_simulations_that_quote_another_convergence_study_are_stale(
 
     forger.edit_records("*", quote)
     forger.reseal()
-    monkeypatch.setattr(staleness, "_extract", of_commit)
+    hold_in_every_commit(monkeypatch, of_commit)
     audit = audit_release(forger.release)
     (stale,) = audit.of_kind(Kind.STALE)
     assert stale.where == "simulate" and "another convergence study" in stale.what

@@ -1,5 +1,6 @@
 """What the current code and configuration would change; the actual content of a commit."""
 
+import functools
 import re
 import subprocess
 import tempfile
@@ -81,14 +82,13 @@ def check_commits(contents: Contents, checkout: Path) -> None:
             "available in code/"
         )
     for commit, stages in sorted(claims.items()):
-        with tempfile.TemporaryDirectory() as folder:
-            name, source = f"commit {commit[:12]}", Path(folder) / "src"
-            if not _extract(checkout, commit, Path(folder)):
-                contents.remarks.append(f"{name} is not in this checkout: code not compared")
-            elif not (source / PACKAGE / "dataset").is_dir():
-                contents.remarks.append(f"{name} is of an older version: code not compared")
-            else:
-                _check_claims(contents, name, stages, source)
+        name, folder = f"commit {commit[:12]}", _unpacked(checkout, commit)
+        if folder is None:
+            contents.remarks.append(f"{name} is not in this checkout: code not compared")
+        elif not Path(folder.name, "src", PACKAGE, "dataset").is_dir():
+            contents.remarks.append(f"{name} is of an older version: code not compared")
+        else:
+            _check_claims(contents, name, stages, Path(folder.name, "src"))
 
 
 def _check_claims(contents: Contents, commit: str, stages: dict, source: Path) -> None:
@@ -105,17 +105,19 @@ def _check_claims(contents: Contents, commit: str, stages: dict, source: Path) -
             contents.broken(stage, f"{commit} contains {what}", sorted(clips))
 
 
-def _extract(checkout: Path, commit: str, folder: Path) -> bool:
-    """Put ``src`` of a commit into `folder`; False if the commit is not known."""
+@functools.cache
+def _unpacked(checkout: Path, commit: str) -> tempfile.TemporaryDirectory | None:
+    """A folder, kept until the end, with ``src`` of a commit; None if the commit is not known."""
     if not re.fullmatch(r"[0-9a-f]{7,64}", commit):  # never an option or a revision range
-        return False
-    archive = folder / "src.zip"
+        return None
+    folder = tempfile.TemporaryDirectory()
+    archive = Path(folder.name, "src.zip")
     command = ["git", "-C", str(checkout), "archive", f"--output={archive}", commit, "src"]
     try:
         subprocess.run(command, capture_output=True, timeout=60, check=True)
     except (OSError, subprocess.SubprocessError):
-        return False
+        return None
     # Unlike tarfile before Python 3.11.4, zipfile never writes outside the folder.
     with zipfile.ZipFile(archive) as packed:
-        packed.extractall(folder)
-    return True
+        packed.extractall(folder.name)
+    return folder
