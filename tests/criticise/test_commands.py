@@ -206,6 +206,7 @@ def test_the_page_says_the_verdict_first(written):
     assert "<h1" in page and "warp differs" in page
     assert page.count("<svg") >= 4
     assert "against all covariates" in page
+    assert "smallest size seen" in page and "named from" in page
 
 
 def test_every_file_has_a_record_of_the_measured_data_that_it_was_made_from(written):
