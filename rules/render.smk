@@ -37,19 +37,24 @@ def shaded(wildcards):
     return [wildcards.viewpoint] if "viewpoint" in wildcards.keys() else FULL_VIEWPOINTS
 
 
+def views(wildcards):
+    """Name and floors of each viewpoint of a shading job: floors are drawn in their order."""
+    return {
+        view: [VIEWPOINTS[view]["name"], floors_of(CONFIG.render, view)]
+        for view in shaded(wildcards)
+    }
+
+
 def camera_files(wildcards):
     """The camera files of the viewpoints, where any is configured."""
-    cameras = [CONFIG.render.camera_of(VIEWPOINTS[view]["name"]) for view in shaded(wildcards)]
+    cameras = [CONFIG.render.camera_of(name) for name, _ in views(wildcards).values()]
     return [file for file in cameras if file]
 
 
 def shading_catalogue(wildcards):
     """Viewpoints and floors of a shading job."""
-    views = shaded(wildcards)
-    return entries(
-        viewpoints=[VIEWPOINTS[view]["name"] for view in views],
-        floors=sorted({floor for view in views for floor in floors_of(CONFIG.render, view)}),
-    )
+    names, floors = zip(*views(wildcards).values())
+    return entries(viewpoints=names, floors=set().union(*floors))
 
 
 def filmed(simulation, viewpoints):
@@ -96,6 +101,7 @@ rule render_shading:
     params:
         *SHADING_SETTINGS,
         viewpoints=shaded,
+        views=lambda wildcards: json.dumps(views(wildcards)),
         weights=lambda wildcards: filmed(wildcards.simulation, shaded(wildcards)),
         catalogue=shading_catalogue,
         code=code_of("render.packing"),

@@ -160,6 +160,14 @@ def test_another_texture_or_camera_never_starts_blender(chain, override):
     assert not [file for file in pending if file.startswith("render/shading/")]
 
 
+def test_viewpoints_in_another_order_are_rendered_again(chain, config):
+    """Their ids are numbers of the order."""
+    swapped = ", ".join(reversed(config.render.viewpoints))
+    pending = chain.pending("--config", f"render={{viewpoints: [{swapped}]}}")
+    shaded = {file for file in pending if file.startswith("render/shading/")}
+    assert len(shaded) == len(simulations(config)) * len(config.render.viewpoints)
+
+
 def test_changed_friction_reruns_its_simulations_only(chain, config):
     first, *rest = config.grid.frictions
     changed = [first, *(round(friction + 0.05, 2) for friction in rest)]
