@@ -257,7 +257,7 @@ CONTRADICTIONS = [
     (f"{MEASURE} --frame-rate-hz 0", "--frame-rate-hz 0: must be greater than 0"),
     (
         "protocol incline --friction 1 --slope-deg 90 --out x.json",
-        "--slope-deg 90: must be below 90",
+        "--slope-deg must be at least 0 and at most 89.99, not 90",
     ),
 ]
 

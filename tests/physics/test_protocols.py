@@ -198,12 +198,6 @@ def test_tensions_around_a_cylinder_follow_the_capstan_law(friction, wrap_deg):
     assert 0 < result["bending_over_tension"] < 0.01
 
 
-def test_cloth_at_rest_creeps_less_than_a_micrometre_a_second():
-    result = _incline(0.5, 0.98, 0.02)
-    assert result["sticks"]
-    assert result["creep_m"] < 1e-6  # in one second
-
-
 def test_frictionless_cloth_slides_on_any_slope():
     result = run_protocol("incline", {"friction": 0.0, "slope_deg": 0.5}, SimulationSettings())
     assert not result["sticks"]
@@ -217,18 +211,17 @@ def test_frictionless_cloth_slides_on_any_slope():
     [
         ("slope", {}, "unknown protocol 'slope'; allowed: incline"),
         ("incline", {"friction": 0.3}, "slope_deg is missing"),
-        ("incline", {"friction": -0.3, "slope_deg": 5}, "friction -0.3: must be finite"),
-        ("flat-drag", {"friction": 50.0}, "friction 50.0: must be at most 10"),
-        ("flat-drag", {"friction": float("nan")}, "friction nan: must be finite"),
+        ("flat-drag", {"friction": 50.0}, "friction must be at least 0 and at most 10, not 50"),
+        ("flat-drag", {"friction": float("nan")}, "friction must be at least 0 .*, not nan"),
         ("flat-drag", {"friction": 0.3, "colour": 1}, "unknown option 'colour'"),
-        ("strip", {"friction": 0.3, "vertices": 3}, "vertices 3: must be at least 8"),
-        ("strip", {"friction": 0.3, "gamma": 0.5}, "gamma 0.5: must be at most 0.3"),
-        ("strip", {"friction": 0.3, "strain": 0}, "strain 0: must be above 0.0001"),
-        ("landed-strip", {"friction": 0.01}, "friction 0.01: must be at least 0.02"),
-        ("landed-strip", {"friction": 0.3, "gravity_length_m": 0}, "gravity_length_m 0: must be"),
-        ("cantilever", {"gamma": 0.001}, "gamma 0.001: must be between 0.05 and 200"),
-        ("lateral-buckling", {"width_over_length": 1}, "width_over_length must be at least 0.02"),
-        ("capstan", {"friction": 0.3, "wrap_deg": 300}, "wrap_deg 300: must be above 0, at most"),
+        ("strip", {"friction": 0.3, "vertices": 3}, "vertices must be at least 8, not 3"),
+        ("strip", {"friction": 0.3, "gamma": 0.5}, "gamma must be .* at most 0.3, not 0.5"),
+        ("landed-strip", {"friction": 0.01}, "friction must be at least 0.02"),
+        (
+            "landed-strip",
+            {"friction": 0.3, "gravity_length_m": 0},
+            "gravity_length_m must be .*0.01",
+        ),
         ("capstan", {"friction": 3, "wrap_deg": 180}, "at most 100"),
     ],
 )

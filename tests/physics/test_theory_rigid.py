@@ -1,4 +1,4 @@
-"""Incline, capstan and lateral buckling."""
+"""Incline, capstan and lateral buckling; arguments that no theory takes."""
 
 import math
 
@@ -7,9 +7,13 @@ import pytest
 from scipy.linalg import eig
 
 from slipstitch.base.errors import BadInput
+from slipstitch.physics.experiments.cantilever import heavy_cantilever
 from slipstitch.physics.experiments.capstan import capstan_theory
+from slipstitch.physics.experiments.landed_strip import landed_strip_theory
 from slipstitch.physics.experiments.lateral_buckling import lateral_buckling_theory
 from slipstitch.physics.experiments.plane import incline_theory
+from slipstitch.physics.experiments.strip import strip_slip_strain, strip_state
+from slipstitch.physics.experiments.strip_drag import steady_strip_drag
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.1, 0.5, 1.2])
@@ -72,13 +76,22 @@ def test_lateral_buckling_combines_bending_and_torsion_of_the_strip(ratio):
 
 
 @pytest.mark.parametrize(
-    ("call", "name"),
+    ("theory", "arguments", "said"),
     [
-        (lambda: incline_theory(-1.0, 0.1), "friction"),
-        (lambda: incline_theory(0.3, 2.0), "slope_rad"),
-        (lambda: capstan_theory(0.3, -1.0), "wrap_rad"),
+        (incline_theory, (-1.0, 0.1), "friction must be at least 0, not -1"),
+        (incline_theory, (0.3, 2.0), "slope_rad"),
+        (capstan_theory, (0.3, -1.0), "wrap_rad"),
+        (heavy_cantilever, (1e6,), "gamma"),
+        (landed_strip_theory, (1e5,), "gamma must be at least 0 and at most 3000, not 100000"),
+        (strip_slip_strain, ("rough",), "friction must be a number, not 'rough'"),
+        (strip_slip_strain, (math.nan,), "friction"),
+        (strip_state, (0.34,), r"strain must be .* at most 0\.330"),
+        (steady_strip_drag, (0.3, 0.0, 0.15, 0.01), "^length_m"),
+        (steady_strip_drag, (0.3, 0.2, math.inf, 0.01), "height_m"),
+        (steady_strip_drag, (0.3, 0.2, 0.15, 0.3), "gravity_length_m"),
+        (steady_strip_drag, (0.3, 0.1, 0.15, 0.01), "height_m must be below length_m"),
     ],
 )
-def test_impossible_arguments_are_refused_by_name(call, name):
-    with pytest.raises(BadInput, match=name):
-        call()
+def test_impossible_arguments_are_refused_by_name(theory, arguments, said):
+    with pytest.raises(BadInput, match=said):
+        theory(*arguments)

@@ -21,6 +21,8 @@ from slipstitch.cli.options import (
 )
 from slipstitch.cli.parameter_types import FOLDER, JSON, PARQUET, PICTURE, Output
 
+PICTURES = {"checks": "picture", "strip": "strip_picture", "settings": "settings_picture"}
+
 
 @verb(
     "choose numerical settings with a pushed strip, and check them against theory",
@@ -47,7 +49,8 @@ def calibrate(arguments: Arguments) -> None:
     from slipstitch.physics.calibration.calibration import calibrate_to_file
     from slipstitch.physics.calibration.sweep import sweep_to_file
 
-    pictures = _pictures(arguments)
+    wanted = {name: getattr(arguments, option) for name, option in PICTURES.items()}
+    pictures = {name: str(path) for name, path in wanted.items() if path}
     if arguments.draw:
         refuse(arguments, ("config", "out", "sweep", "sweeps", "only_failures"), "--draw")
         if not pictures:
@@ -64,8 +67,7 @@ def calibrate(arguments: Arguments) -> None:
     if arguments.sweep is not None:
         if arguments.sweep not in (BASE, *KEYS):
             raise BadInput(f"--sweep {arguments.sweep}: must be one of {', '.join((BASE, *KEYS))}")
-        drawing = ("picture", "strip_picture", "settings_picture", "only_failures")
-        refuse(arguments, ("sweeps", *drawing), "--sweep")
+        refuse(arguments, ("sweeps", *PICTURES.values(), "only_failures"), "--sweep")
         sweep_to_file(config, arguments.sweep, arguments.out)
         return
 
@@ -77,15 +79,6 @@ def calibrate(arguments: Arguments) -> None:
 
     sweeps = list(arguments.sweeps) or None
     _print_calibration(calibrate_to_file(config, arguments.out, sweeps, draw))
-
-
-def _pictures(arguments: Arguments) -> dict[str, str]:
-    wanted = {
-        "checks": arguments.picture,
-        "strip": arguments.strip_picture,
-        "settings": arguments.settings_picture,
-    }
-    return {name: str(path) for name, path in wanted.items() if path}
 
 
 def _print_calibration(calibration: Mapping) -> None:
@@ -156,8 +149,6 @@ def protocol(arguments: Arguments) -> int:
 
     options = {name: getattr(arguments, name) for name in OPTIONS}
     options = {name: value for name, value in options.items() if value is not None}
-    if arguments.slope_deg is not None and not arguments.slope_deg < 90:
-        raise BadInput(f"--slope-deg {arguments.slope_deg:g}: must be below 90")
     asked = {"time_step_s": arguments.time_step}
     if arguments.name == "strip-drag":  # as many as along a side of the simulated cloth
         asked["vertices_per_side"] = options.pop("vertices", None)

@@ -10,23 +10,21 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq
 
-from slipstitch.base.errors import BadInput
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics import GRAVITY_M_S2
-from slipstitch.physics.cloth import ClothSolver, rectangle
 from slipstitch.physics.experiments.specimen import (
     AREAL_DENSITY_KG_M2,
     Demand,
     bring_to_rest,
+    clamped_strip,
     held,
     require,
-    solver_settings,
+    started,
 )
 from slipstitch.physics.fabric import isotropic_tables
 
 LENGTH_M = 0.20
 ROWS = 81
-COLUMNS = 2
 THICKNESS_M = 2.0e-3  # thick against the sag across: the cross-section is free to curve
 GAMMA_RANGE = (0.05, 200.0)
 SMALL_GAMMA = 0.05  # sags by 0.6 % of its length: linear to 4e-5
@@ -38,21 +36,11 @@ _PARAMETERS = (-10.0, 80.0)
 
 @dataclass(frozen=True)
 class HeavyCantilever:
-    """Shape of a heavy cantilever of length 1.
+    """Shape of a heavy cantilever of length 1."""
 
-    Attributes
-    ----------
-    gamma : float
-        Γ = ρ g L³ / B, dimensionless (areal density ρ, bending rigidity B of a unit width).
-    height_over_width : float
-        Sag of the tip over its horizontal distance from the clamp.
-    tip_angle_rad : float
-        Angle of the tip below the horizontal (rad).
-    """
-
-    gamma: float
-    height_over_width: float
-    tip_angle_rad: float
+    gamma: float  # Γ = ρ g L³ / B: areal density ρ, bending rigidity B of a unit width
+    height_over_width: float  # sag of the tip over its horizontal distance from the clamp
+    tip_angle_rad: float  # below the horizontal
 
 
 def _from_the_tip(parameter: float) -> HeavyCantilever:
@@ -93,12 +81,7 @@ def heavy_cantilever(gamma: float) -> HeavyCantilever:
     """Sag of a strip clamped horizontally at one end.
 
     Solves θ'' = −Γ (1 − s) cos θ with θ(0) = 0 at the clamp and θ'(1) = 0 at the tip (θ below the
-    horizontal; Bickley 1934; Peirce 1930 for cloth), by shooting from the tip.
-
-    Parameters
-    ----------
-    gamma : float
-        Γ = ρ g L³ / B, dimensionless, 10⁻³ ≤ Γ ≤ 10⁴.
+    horizontal; Bickley 1934; Peirce 1930 for cloth), by shooting from the tip; 10⁻³ ≤ Γ ≤ 10⁴.
     """
     gamma = require("gamma", gamma, *THEORY_GAMMAS)
     parameter = brentq(lambda x: math.log(_from_the_tip(x).gamma / gamma), *_PARAMETERS, xtol=1e-12)
@@ -106,15 +89,10 @@ def heavy_cantilever(gamma: float) -> HeavyCantilever:
 
 
 def cantilever(settings: SimulationSettings, gamma: float) -> dict[str, Any]:
-    """Height over width of a strip at rest, at a ratio of weight to rigidity.
+    """Height over width of a strip at rest, at Γ = areal density x gravity x length^3 / B.
 
     The rigidity is the one that the mesh has: read off a sag so small that it is linear
     (deflection of the tip Γ/8 of the length).
-
-    Parameters
-    ----------
-    gamma : float
-        Γ = areal density x gravity x length^3 / B.
 
     Returns
     -------
@@ -122,11 +100,6 @@ def cantilever(settings: SimulationSettings, gamma: float) -> dict[str, Any]:
         ``height_over_width``, ``theory_height_over_width``, and
         ``hinge_stiffness_over_rigidity``, ke/B.
     """
-    if not GAMMA_RANGE[0] <= gamma <= GAMMA_RANGE[1]:
-        raise BadInput(
-            f"protocol cantilever: gamma {gamma:g}: must be between {GAMMA_RANGE[0]:g} "
-            f"and {GAMMA_RANGE[1]:g}"
-        )
     guess = 4.0
     _, down_m = _sag(settings, SMALL_GAMMA, guess)
     ratio = guess * (8 * down_m / LENGTH_M) / SMALL_GAMMA
@@ -142,28 +115,18 @@ def _sag(
     settings: SimulationSettings, gamma: float, stiffness_over_rigidity: float
 ) -> tuple[float, float]:
     """Horizontal and vertical distance of the tip from the clamp, at rest, in m."""
-    # Two clamped rows straddle the clamp.
-    spacing_m = LENGTH_M / (ROWS - 1.5)
-    mesh = rectangle(ROWS, COLUMNS, LENGTH_M + 0.5 * spacing_m, (COLUMNS - 1) * spacing_m)
+    mesh, spacing_m = clamped_strip(ROWS, LENGTH_M)
     rigidity_Nm = AREAL_DENSITY_KG_M2 * GRAVITY_M_S2 * LENGTH_M**3 / gamma
     height_m = 2 * LENGTH_M  # clear of the floor
     start_m = np.column_stack(
         [mesh.rest_uv_m[:, ::-1], np.full(mesh.vertex_count, height_m)]
     ) - np.array([0.5 * spacing_m, 0.0, 0.0])
-    solver = ClothSolver(
-        mesh,
-        isotropic_tables(
-            AREAL_DENSITY_KG_M2,
-            12 * rigidity_Nm / THICKNESS_M**2,
-            stiffness_over_rigidity * rigidity_Nm,
-        ),
-        start_m,
-        friction=0.0,
-        fixed=held(mesh, 2, cylindrical=False),
-        # No friction here: the tolerance is relative to the lesser of weight and rigidity.
-        settings=solver_settings(settings, friction_floor=min(1.0, 1.0 / gamma)),
-    )
-    solver.start()
+    stiffness = 12 * rigidity_Nm / THICKNESS_M**2, stiffness_over_rigidity * rigidity_Nm
+    tables = isotropic_tables(AREAL_DENSITY_KG_M2, *stiffness)
+    # No friction here: the tolerance is relative to the lesser of weight and rigidity.
+    floor = min(1.0, 1.0 / gamma)
+    fixed = held(mesh, 2, cylindrical=False)
+    solver = started(settings, mesh, tables, start_m, fixed, friction_floor=floor)
     bring_to_rest(solver, math.sqrt(gamma * LENGTH_M / GRAVITY_M_S2))
-    tip_m = solver.positions_m[-COLUMNS:].mean(axis=0)
+    tip_m = solver.positions_m[-2:].mean(axis=0)
     return float(tip_m[0]), float(height_m - tip_m[2])

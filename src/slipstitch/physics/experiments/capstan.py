@@ -5,7 +5,7 @@ Without weight: the cylinder is the ground, and what presses the strip on it is 
 
 from __future__ import annotations
 
-from math import cos, degrees, exp, expm1, pi, radians, sin
+from math import cos, exp, expm1, radians, sin
 from typing import Any
 
 import numpy as np
@@ -15,10 +15,11 @@ from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics.cloth import ClothSolver, Conditions, rectangle
 from slipstitch.physics.experiments.specimen import (
     Demand,
+    advance_evenly,
     cylindrical_strip_tables,
     held,
     require,
-    solver_settings,
+    started,
 )
 
 RADIUS_M = 0.020
@@ -27,7 +28,7 @@ SPAN_M = 0.010  # free, on either side
 MEMBRANE_STIFFNESS_N_M = 2000.0
 LARGEST_STRAIN = 5.0e-3  # about, where it is pulled
 BENDING_OVER_TENSION = 1.0e-3  # B/(T R^2) at the held end; the law needs less than 0.01
-LARGEST_WRAP = 1.5 * pi
+WRAP_DEG_RANGE = (0.01, 270.0)
 LARGEST_RATIO = 100.0
 PULL_S = 2.0
 ROUNDS_MAX = 20  # of that, until nothing sticks any more
@@ -38,32 +39,14 @@ def capstan_theory(friction: float, wrap_rad: float) -> float:
     """Ratio of the tensions of a strip that slips around a fixed cylinder.
 
     T₂/T₁ = exp(μ φ) (Euler 1769, Eytelwein 1808). A strip of bending rigidity B around radius R
-    follows it for B/(T R²) < 0.01.
-
-    Parameters
-    ----------
-    friction : float
-        Friction coefficient μ ≥ 0.
-    wrap_rad : float
-        Angle φ of contact (rad), ≥ 0.
-
-    Returns
-    -------
-    float
-        Pulling over holding tension, dimensionless.
+    follows it for B/(T R²) < 0.01. The friction coefficient μ and the angle φ of contact (rad) are
+    at least 0.
     """
-    friction = require("friction", friction, 0.0)
-    wrap = require("wrap_rad", wrap_rad, 0.0)
-    return exp(friction * wrap)
+    return exp(require("friction", friction, 0.0) * require("wrap_rad", wrap_rad, 0.0))
 
 
 def capstan(settings: SimulationSettings, friction: float, wrap_deg: float) -> dict[str, Any]:
     """Ratio of the tensions of a strip pulled around a cylinder until all of it slips.
-
-    Parameters
-    ----------
-    wrap_deg : float
-        Angle over which the strip touches the cylinder.
 
     Returns
     -------
@@ -74,17 +57,12 @@ def capstan(settings: SimulationSettings, friction: float, wrap_deg: float) -> d
     Raises
     ------
     BadInput
-        An angle or a ratio out of range.
+        The ratio would be too large.
     NotConverged
-        A step could not be solved, or part of the strip sticks however far it is pulled.
+        Part of the strip sticks however far it is pulled.
     """
     wrap = radians(wrap_deg)
     expected = capstan_theory(friction, wrap)
-    if not 0 < wrap <= LARGEST_WRAP:
-        raise BadInput(
-            f"protocol capstan: wrap_deg {wrap_deg:g}: must be above 0, at most "
-            f"{degrees(LARGEST_WRAP):g}"
-        )
     if expected > LARGEST_RATIO:
         raise BadInput(
             f"protocol capstan: exp(friction x wrap) is {expected:.3g}: must be at most "
@@ -99,14 +77,12 @@ def capstan(settings: SimulationSettings, friction: float, wrap_deg: float) -> d
     growth = expm1(friction * wrap) / friction - wrap if friction else 0.0
     stretch_m = held_strain * (RADIUS_M * growth + SPAN_M * (exp(friction * wrap) - 1))
     stretch_m = 2 * stretch_m + held_strain * SPAN_M
-    steps = round(PULL_S / settings.time_step_s)
 
     def pull(time_s: float) -> np.ndarray:
         return start_m + pulled[:, None] * tangent * (stretch_m * time_s / PULL_S)
 
     for _ in range(ROUNDS_MAX):
-        for _ in range(steps):
-            solver.advance(PULL_S / steps, pull)
+        advance_evenly(solver, PULL_S, settings.time_step_s, pull)
         if not (friction and solver.sticks().any()):
             break
     else:
@@ -150,18 +126,10 @@ def _wrapped(
     fixed = held(mesh, 1)
     fixed[-2:] = True
     tension_N = MEMBRANE_STIFFNESS_N_M * held_strain * rest_m
-    solver = ClothSolver(
-        mesh,
-        cylindrical_strip_tables(MEMBRANE_STIFFNESS_N_M, _rigidity(held_strain)),
-        start_m,
-        friction=friction,
-        fixed=fixed,
-        settings=solver_settings(settings),
-        conditions=Conditions(
-            gravity_m_s2=(0.0, 0.0, 0.0),
-            nodal_force_N=tension_N * turn / 2,
-            ground_curvature_per_m=1 / RADIUS_M,
-        ),
+    tables = cylindrical_strip_tables(MEMBRANE_STIFFNESS_N_M, _rigidity(held_strain))
+    conditions = Conditions(
+        gravity_m_s2=(0.0, 0.0, 0.0),
+        nodal_force_N=tension_N * turn / 2,
+        ground_curvature_per_m=1 / RADIUS_M,
     )
-    solver.start()
-    return solver, start_m
+    return started(settings, mesh, tables, start_m, fixed, friction, conditions), start_m

@@ -13,25 +13,27 @@ import numpy as np
 from scipy.integrate import solve_bvp
 from scipy.optimize import brentq
 
-from slipstitch.base.errors import BadInput, NotConverged
+from slipstitch.base.errors import NotConverged
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics import GRAVITY_M_S2
-from slipstitch.physics.cloth import ClothSolver, Conditions, rectangle
+from slipstitch.physics.cloth import ClothSolver, Conditions
 from slipstitch.physics.experiments.specimen import (
     AREAL_DENSITY_KG_M2,
     Demand,
+    carried,
+    clamped_strip,
     cylindrical_strip_tables,
     held,
     require,
-    solver_settings,
+    started,
 )
 from slipstitch.physics.experiments.strip import (
     FLAT_FOOT_RAD,
+    LENGTH_M,
     StripState,
     strip_state_at_foot_angle,
 )
 
-LENGTH_M = 0.20
 THICKNESS_M = 5.0e-4
 SPEED_M_S = 0.004  # at the stage's 10 mm/s the heavy part still swings
 CURL_PER_M = 0.05
@@ -44,6 +46,7 @@ DEMANDS = (
     Demand("flat_strain", 0.006, relative=False),
 )
 LARGEST_GAMMA = 3.0e3
+GRAVITY_LENGTH_RANGE_M = (LENGTH_M / LARGEST_GAMMA ** (1 / 3), LENGTH_M)
 SMALLEST_FOOT_ANGLE_RAD = 0.02
 # Weights by which the strip with weight is reached from the one without.
 _LADDER = np.geomspace(1.0, 5.0e3, 23)
@@ -109,36 +112,18 @@ def landed_strip_theory(gamma: float) -> StripState:
 
     θ from the vertical, s from the clamp: the strip of Sano, Yamaguchi & Wada (2017) with its
     weight. |Q|/P grows until the foot's tangent lies flat. With less friction than the ratio
-    there the foot slips, and the tail lies down straight; with more it is folded under.
-
-    Parameters
-    ----------
-    gamma : float
-        Γ = w L³/B, dimensionless, 0 ≤ Γ ≤ 3000.
-
-    Returns
-    -------
-    StripState
-        ``load_ratio`` is the friction coefficient that parts slipping from folding.
+    there the foot slips, and the tail lies down straight; with more it is folded under: the state's
+    ``load_ratio`` is the friction coefficient that parts slipping from folding. Γ = w L³/B is
+    between 0 and 3000.
     """
     gamma = require("gamma", gamma, 0.0, LARGEST_GAMMA)
     return _state(FLAT_FOOT_RAD, _flat_foot(gamma))
 
 
 def landed_strip_slip_strain(friction: float, gamma: float) -> float | None:
-    """Strain at which the foot of a lowered heavy strip slips.
+    """Strain at which the foot of a lowered heavy strip slips; None if it lies flat first.
 
-    Parameters
-    ----------
-    friction : float
-        Friction coefficient μ, at least 0.02.
-    gamma : float
-        Γ, as for `landed_strip_theory`.
-
-    Returns
-    -------
-    float or None
-        Strain, dimensionless; None if it lies flat first.
+    The friction coefficient is at least 0.02, Γ as for `landed_strip_theory`.
     """
     friction = require("friction", friction, SMALLEST_FRICTION)
     flat = landed_strip_theory(gamma)
@@ -170,37 +155,19 @@ def landed_strip(
 ) -> dict[str, Any]:
     """Lower a strip that hangs straight down, its foot at the floor, until it slips or lies flat.
 
-    Kept cylindrical: rigidity ke/4.
-
-    Parameters
-    ----------
-    gravity_length_m : float
-        (B/w)^(1/3), bending rigidity over weight per area.
-    vertices : int
-        Rows of vertices along the strip.
+    Kept cylindrical: rigidity ke/4. The gravity length is (B/w)^(1/3), of bending rigidity and
+    weight per area; `vertices` are the rows along the strip.
 
     Returns
     -------
     dict
         ``outcome``, ``slips`` or ``folds`` (``stands`` if neither); ``slip_strain`` or
         ``flat_strain``, the descent since the foot touched, over the length, at which it did
-        (else None); ``foot_moved_m``, in the end, a centimetre lower; ``gamma``, (length over
-        gravity length)^3;
-        ``theory_threshold_friction``, which parts slipping from folding; ``theory_outcome``,
-        ``theory_slip_strain``, ``theory_flat_strain``.
+        (else None), each also as ``theory_…``; ``foot_moved_m``, in the end, a centimetre lower;
+        ``gamma``, (length over gravity length)^3; ``theory_threshold_friction``, which parts
+        slipping from folding.
     """
-    gamma = (LENGTH_M / gravity_length_m) ** 3 if gravity_length_m > 0 else np.inf
-    if not 1 <= gamma <= LARGEST_GAMMA:
-        raise BadInput(
-            f"protocol landed-strip: gravity_length_m {gravity_length_m:g}: must be between "
-            f"{LENGTH_M / LARGEST_GAMMA ** (1 / 3):.4g} and {LENGTH_M:g}"
-        )
-    if friction < SMALLEST_FRICTION:
-        raise BadInput(
-            f"protocol landed-strip: friction {friction:g}: must be at least {SMALLEST_FRICTION:g}"
-        )
-    if vertices < 8:
-        raise BadInput(f"protocol landed-strip: vertices {vertices:g}: must be at least 8")
+    gamma = (LENGTH_M / gravity_length_m) ** 3
     flat = landed_strip_theory(gamma)
     slips_at = landed_strip_slip_strain(friction, gamma)
     measured = _lower(settings, friction, gravity_length_m, int(vertices), 2 * flat.strain)
@@ -216,11 +183,7 @@ def landed_strip(
 
 def _lower(settings, friction, gravity_length_m, vertices, largest_strain) -> dict[str, Any]:
     solver, start_m = _hanging(settings, friction, gravity_length_m, vertices)
-    step_s = settings.time_step_s
-
-    def clamp(time_s: float) -> np.ndarray:
-        return start_m - np.array([0.0, 0.0, SPEED_M_S * time_s])
-
+    step_s, clamp = settings.time_step_s, carried(start_m, 0.0, 0.0, -SPEED_M_S)
     slip_strain = flat_strain = None
     end_s = largest_strain * LENGTH_M / SPEED_M_S
     while solver.time_s < end_s:
@@ -245,22 +208,13 @@ def _lower(settings, friction, gravity_length_m, vertices, largest_strain) -> di
 
 
 def _hanging(settings, friction, gravity_length_m, vertices) -> tuple[ClothSolver, np.ndarray]:
-    spacing_m = LENGTH_M / (vertices - 1.5)  # two clamped rows straddle the clamp
-    mesh = rectangle(vertices, 2, LENGTH_M + 0.5 * spacing_m, spacing_m)
+    mesh, spacing_m = clamped_strip(vertices, LENGTH_M)
     across, down = mesh.rest_uv_m.T
     start_m = np.column_stack([0 * down, across, down[-1] - down])
     rigidity_Nm = AREAL_DENSITY_KG_M2 * GRAVITY_M_S2 * gravity_length_m**3
     # What the foot bears is the weight of about one and a half gravity lengths.
     foot_N = AREAL_DENSITY_KG_M2 * GRAVITY_M_S2 * gravity_length_m * spacing_m
     tables = cylindrical_strip_tables(12 * rigidity_Nm / THICKNESS_M**2, rigidity_Nm)
-    solver = ClothSolver(
-        mesh,
-        replace(tables, rest_curvature_per_m=CURL_PER_M),
-        start_m,
-        friction=friction,
-        fixed=held(mesh, 2),
-        settings=solver_settings(settings),
-        conditions=Conditions(nodal_force_N=foot_N),
-    )
-    solver.start()
-    return solver, start_m
+    tables = replace(tables, rest_curvature_per_m=CURL_PER_M)
+    conditions, fixed = Conditions(nodal_force_N=foot_N), held(mesh, 2)
+    return started(settings, mesh, tables, start_m, fixed, friction, conditions), start_m

@@ -7,7 +7,6 @@ measured on the same mesh: bending from a small sag, torsion from a small twist.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import sqrt
 from typing import Any
 
@@ -19,10 +18,10 @@ from slipstitch.physics.cloth import ClothSolver, Conditions, rectangle
 from slipstitch.physics.experiments.specimen import (
     AREAL_DENSITY_KG_M2,
     Demand,
+    Motion,
     bring_to_rest,
     held,
-    require,
-    solver_settings,
+    started,
 )
 from slipstitch.physics.fabric import isotropic_tables
 
@@ -36,7 +35,7 @@ SIDE_PUSH = 1.0e-3  # sideways over vertical weight, what the strip buckles from
 FAR, NEAR = (0.85, 0.95), (0.96, 0.98)  # of the critical weight as known before
 SMALL_GAMMA = 0.05  # sags by 0.6 % of its length: linear
 SMALL_TWIST_RAD = 0.02
-NARROWEST, WIDEST = 0.02, 0.5
+WIDTH_RANGE = (0.02, 0.5)  # over the length; theory is for narrow strips
 # First root of J_{-1/6}(x/6) = 0 is x = 12.854: see the test, which solves the eigenproblem.
 NARROW_STRIP = 12.853718
 DEMANDS = (Demand("critical_gamma", 0.05),)
@@ -47,17 +46,8 @@ def lateral_buckling_theory(bending: float, torsion: float) -> float:
 
     A beam under its own weight q per length buckles sideways at q L³ = 12.854 √(EI · GJ)
     (Prandtl 1899; Timoshenko & Gere 1961, sec. 6.3). For a thin isotropic strip of width b and
-    plate rigidity D, EI = (1 − ν²) D b and GJ = 2 (1 − ν) D b.
-
-    Parameters
-    ----------
-    bending, torsion : float
-        Lateral bending rigidity EI and torsional rigidity GJ, both over D b.
-
-    Returns
-    -------
-    float
-        Γ* = ρ g L³ / D, dimensionless (areal density ρ).
+    plate rigidity D, EI = (1 − ν²) D b and GJ = 2 (1 − ν) D b. Given EI and GJ, both over D b,
+    returns Γ* = ρ g L³ / D, dimensionless (areal density ρ).
     """
     return NARROW_STRIP * sqrt(bending * torsion)
 
@@ -68,11 +58,6 @@ def lateral_buckling(settings: SimulationSettings, width_over_length: float) -> 
     A small sideways weight bends the strip by d, amplified by 1/(1 - (Γ/Γ*)²) as the critical
     weight comes near: Γ/d falls linearly in Γ² to zero at Γ* (Southwell 1932).
 
-    Parameters
-    ----------
-    width_over_length : float
-        0.02 to 0.5; theory is for narrow strips.
-
     Returns
     -------
     dict
@@ -80,7 +65,6 @@ def lateral_buckling(settings: SimulationSettings, width_over_length: float) -> 
         the plate's rigidity ke/4; ``bending_over_plate`` and ``torsion_over_plate``, the strip's
         rigidities over plate rigidity times width.
     """
-    require("width_over_length", width_over_length, NARROWEST, WIDEST)
     solver = _strip(settings, width_over_length, held_ends=1)
     bending = SMALL_GAMMA * LENGTH_M / (8 * _sideways_m(solver, SMALL_GAMMA, 1.0, 0.0))
     torsion = _torsion(settings, width_over_length)
@@ -116,18 +100,11 @@ def _strip(settings: SimulationSettings, width_over_length: float, held_ends: in
     fixed = held(mesh, 2, cylindrical=False)
     if held_ends == 2:
         fixed[-2 * COLUMNS :] = True
-    solver = ClothSolver(
-        mesh,
-        isotropic_tables(AREAL_DENSITY_KG_M2, membrane_N_m, 4 * RIGIDITY_NM),
-        start_m,
-        friction=0.0,
-        fixed=fixed,
-        # Out of balance by no more than 0.1 % of the sideways weight.
-        settings=solver_settings(settings, friction_floor=10 * SIDE_PUSH),
-        conditions=Conditions(gravity_m_s2=(0.0, 0.0, 0.0)),
-    )
-    solver.start()
-    return solver
+    tables = isotropic_tables(AREAL_DENSITY_KG_M2, membrane_N_m, 4 * RIGIDITY_NM)
+    weightless = Conditions(gravity_m_s2=(0.0, 0.0, 0.0))
+    # Out of balance by no more than 0.1 % of the sideways weight.
+    changes = {"friction_floor": 10 * SIDE_PUSH, "conditions": weightless}
+    return started(settings, mesh, tables, start_m, fixed, **changes)
 
 
 def _sideways_m(solver: ClothSolver, gamma: float, side: float, down: float) -> float:
@@ -156,7 +133,7 @@ def _torsion(settings: SimulationSettings, width_over_length: float) -> float:
     return float(abs(torque_Nm / rate) / (RIGIDITY_NM * width_over_length * LENGTH_M))
 
 
-def _turning(start_m: np.ndarray, end: slice) -> Callable[[float], np.ndarray]:
+def _turning(start_m: np.ndarray, end: slice) -> Motion:
     """Turn the held end about the strip's axis over the first step."""
 
     def at(time_s: float) -> np.ndarray:

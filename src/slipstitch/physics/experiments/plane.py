@@ -14,8 +14,10 @@ from slipstitch.physics.experiments.specimen import (
     AREAL_DENSITY_KG_M2,
     MEMBRANE_STIFFNESS_N_M,
     Demand,
+    advance_evenly,
+    carried,
     require,
-    solver_settings,
+    started,
 )
 from slipstitch.physics.fabric import isotropic_tables
 from slipstitch.physics.friction_law import FrictionLaw
@@ -34,14 +36,8 @@ FLAT_DRAG_DEMANDS = (Demand("pull_over_weight", 0.005),)
 def incline_theory(friction: float, slope_rad: float) -> float:
     """Acceleration (m/s²) of a body on an inclined plane, released at rest; 0 where it sticks.
 
-    Amontons-Coulomb: sticks while tan θ ≤ μ, else slides with a = g (sin θ − μ cos θ).
-
-    Parameters
-    ----------
-    friction : float
-        Friction coefficient μ ≥ 0, static and kinetic alike.
-    slope_rad : float
-        Angle θ of the plane (rad), 0 ≤ θ < π/2.
+    Amontons-Coulomb: sticks while tan θ ≤ μ, static and kinetic alike, else slides with
+    a = g (sin θ − μ cos θ); 0 ≤ θ < π/2.
     """
     friction = require("friction", friction, 0.0)
     slope = require("slope_rad", slope_rad, 0.0, BELOW_UPRIGHT_RAD)
@@ -67,17 +63,13 @@ def _square(
     place = [side_m - down, across] if led else [across, down]
     fixed = np.zeros((mesh.vertex_count, 3), bool)
     fixed[:, 0] = led & (down == 0)
-    solver = ClothSolver(
-        mesh,
-        isotropic_tables(AREAL_DENSITY_KG_M2, MEMBRANE_STIFFNESS_N_M, HINGE_STIFFNESS_N_M),
-        np.column_stack([*place, np.zeros(mesh.vertex_count)]),
-        friction=friction,
-        fixed=fixed,
-        settings=solver_settings(settings),
-        conditions=Conditions(gravity_m_s2=_gravity_on(slope_rad)),
-    )
+    tables = isotropic_tables(AREAL_DENSITY_KG_M2, MEMBRANE_STIFFNESS_N_M, HINGE_STIFFNESS_N_M)
+    start_m = np.column_stack([*place, np.zeros(mesh.vertex_count)])
+    conditions = Conditions(gravity_m_s2=_gravity_on(slope_rad))
+    solver = started(settings, mesh, tables, start_m, fixed, friction, conditions)
     weight_N = solver.mass_kg * GRAVITY_M_S2
     solver.positions_m[:, 2] = -weight_N * cos(slope_rad) / solver.contact_stiffness_N_m
+    solver.start()
     return solver
 
 
@@ -100,9 +92,7 @@ def incline(settings: SimulationSettings, friction: float, slope_deg: float) -> 
     weight_N = solver.mass_kg * GRAVITY_M_S2
     borne_N = weight_N * min(sin(slope), friction * cos(slope))
     solver.start(preload_N=np.column_stack([borne_N, 0 * borne_N]))
-    steps = round(1.0 / settings.time_step_s)
-    for _ in range(steps):
-        solver.advance(1.0 / steps)
+    advance_evenly(solver, 1.0, settings.time_step_s)
     creep_m = float(np.linalg.norm((solver.positions_m[:, :2] - start_m).mean(axis=0)))
     return {
         "sticks": creep_m < CREEP_MAX_M,
@@ -117,12 +107,7 @@ def tilt(
 ) -> dict[str, Any]:
     """A square of cloth on a plane that is tilted slowly from the horizontal until it slides.
 
-    Parameters
-    ----------
-    friction : float
-        Kinetic coefficient.
-    static_kinetic : float
-        How far the static one exceeds it, over the kinetic one.
+    The static coefficient exceeds the kinetic one, ``friction``, by ``static_kinetic`` of it.
 
     Returns
     -------
@@ -134,7 +119,6 @@ def tilt(
     expected = friction * (1 + static_kinetic)
     solver = _square(settings, law)
     start_m = solver.positions_m[:, 0].mean()
-    solver.start()
     slope_at_slip = None
     for step in range(1, round(TILT_BEYOND * TILT_STEPS) + 1):
         slope = expected * step / TILT_STEPS
@@ -158,16 +142,8 @@ def flat_drag(settings: SimulationSettings, friction: float) -> dict[str, Any]:
         ``pull_over_weight`` and ``theory_pull_over_weight``.
     """
     solver = _square(settings, friction, vertices=11, side_m=0.1, led=True)
-    flat_m = solver.positions_m
-    solver.start()
-    speed_m_s, duration_s = 0.01, 2.0
-    steps = round(duration_s / settings.time_step_s)
-
-    def pulled(time_s: float) -> np.ndarray:
-        return flat_m + np.array([speed_m_s * time_s, 0.0, 0.0])
-
-    for _ in range(steps):
-        solver.advance(duration_s / steps, pulled)
+    pulled = carried(solver.positions_m, 0.01, 0.0, 0.0)
+    advance_evenly(solver, 2.0, settings.time_step_s, pulled)
     weight_N = solver.mass_kg.sum() * GRAVITY_M_S2
     return {
         "pull_over_weight": float(solver.reactions()[:, 0].sum() / weight_N),

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from math import isfinite
+from dataclasses import dataclass, field
+from inspect import signature
+from math import inf
 from typing import Any
 
 from slipstitch.base.errors import BadInput
@@ -21,16 +22,22 @@ from slipstitch.physics.experiments import (
     strip,
     strip_drag,
 )
-from slipstitch.physics.experiments.specimen import Demand
+from slipstitch.physics.experiments.specimen import Demand, require
+
+Bounds = tuple[float, float]
+VERTICES = (8, inf)
 
 
 @dataclass(frozen=True)
 class KnownAnswer:
-    """An experiment, what it must meet, its options: name to default (None: required)."""
+    """An experiment, what it must meet, and the bounds of its options (else 0 and infinity).
+
+    Its options are the arguments of the function after the settings.
+    """
 
     run: Callable[..., dict[str, Any]]
     demands: tuple[Demand, ...]
-    options: Mapping[str, float | None]
+    bounds: Mapping[str, Bounds] = field(default_factory=dict)
 
     def verdict(self, result: Mapping[str, Any]) -> dict[str, Any]:
         """``passed``, and ``demands``: the verdict on each (`Demand.verdict`), by key."""
@@ -39,45 +46,46 @@ class KnownAnswer:
 
 
 PROTOCOLS: dict[str, KnownAnswer] = {
-    "incline": KnownAnswer(
-        plane.incline, plane.INCLINE_DEMANDS, {"friction": None, "slope_deg": None}
-    ),
-    "tilt": KnownAnswer(plane.tilt, plane.TILT_DEMANDS, {"friction": None, "static_kinetic": 0.0}),
-    "flat-drag": KnownAnswer(plane.flat_drag, plane.FLAT_DRAG_DEMANDS, {"friction": None}),
+    "incline": KnownAnswer(plane.incline, plane.INCLINE_DEMANDS, {"slope_deg": (0, 89.99)}),
+    "tilt": KnownAnswer(plane.tilt, plane.TILT_DEMANDS),
+    "flat-drag": KnownAnswer(plane.flat_drag, plane.FLAT_DRAG_DEMANDS),
     "strip-drag": KnownAnswer(
-        strip_drag.strip_drag, strip_drag.DEMANDS, {"friction": None, "gravity_length_m": 0.02}
+        strip_drag.strip_drag, strip_drag.DEMANDS, {"gravity_length_m": (0, strip_drag.LENGTH_M)}
     ),
     "strip": KnownAnswer(
         strip.strip,
         strip.DEMANDS,
-        {"friction": None, "vertices": 149, "gamma": 0.0, "strain": strip.LARGEST_STRAIN},
+        {
+            "vertices": VERTICES,
+            "gamma": (0, strip.LARGEST_GAMMA),
+            "strain": (strip.START_STRAIN, 0.5),
+        },
     ),
     "landed-strip": KnownAnswer(
         landed_strip.landed_strip,
         landed_strip.DEMANDS,
-        {"friction": None, "gravity_length_m": 0.02, "vertices": 149},
+        {
+            "friction": (landed_strip.SMALLEST_FRICTION, FRICTION_MAX),
+            "gravity_length_m": landed_strip.GRAVITY_LENGTH_RANGE_M,
+            "vertices": VERTICES,
+        },
     ),
-    "cantilever": KnownAnswer(cantilever.cantilever, cantilever.DEMANDS, {"gamma": None}),
+    "cantilever": KnownAnswer(
+        cantilever.cantilever, cantilever.DEMANDS, {"gamma": cantilever.GAMMA_RANGE}
+    ),
     "lateral-buckling": KnownAnswer(
-        lateral_buckling.lateral_buckling, lateral_buckling.DEMANDS, {"width_over_length": None}
+        lateral_buckling.lateral_buckling,
+        lateral_buckling.DEMANDS,
+        {"width_over_length": lateral_buckling.WIDTH_RANGE},
     ),
-    "capstan": KnownAnswer(capstan.capstan, capstan.DEMANDS, {"friction": None, "wrap_deg": None}),
+    "capstan": KnownAnswer(capstan.capstan, capstan.DEMANDS, {"wrap_deg": capstan.WRAP_DEG_RANGE}),
 }
 
 
 def run_protocol(
     name: str, options: Mapping[str, float], settings: SimulationSettings | None = None
 ) -> dict[str, Any]:
-    """Run one experiment.
-
-    Parameters
-    ----------
-    name : str
-        A key of ``PROTOCOLS``.
-    options : mapping
-        Its options, by name.
-    settings : SimulationSettings, optional
-        Numerical settings (time step, tolerance, damping ...).
+    """Run one experiment, a key of `PROTOCOLS`, with options by name.
 
     Raises
     ------
@@ -89,32 +97,26 @@ def run_protocol(
     if name not in PROTOCOLS:
         raise BadInput(f"unknown protocol {name!r}; allowed: {', '.join(PROTOCOLS)}")
     protocol = PROTOCOLS[name]
-    unknown = set(options) - set(protocol.options)
+    _, *known = signature(protocol.run).parameters.values()
+    unknown = set(options) - {one.name for one in known}
     if unknown:
-        raise BadInput(
-            f"protocol {name}: unknown option {min(unknown)!r}; "
-            f"allowed: {', '.join(protocol.options)}"
-        )
+        allowed = ", ".join(one.name for one in known)
+        raise BadInput(f"protocol {name}: unknown option {min(unknown)!r}; allowed: {allowed}")
+    bounds = {"friction": (0.0, FRICTION_MAX), **protocol.bounds}
     values = {}
-    for option, default in protocol.options.items():
-        value = options.get(option, default)
-        if value is None:
-            raise BadInput(f"protocol {name}: {option} is missing")
-        if not isfinite(value) or value < 0:
-            raise BadInput(f"protocol {name}: {option} {value}: must be finite and at least 0")
-        if option == "friction" and value > FRICTION_MAX:
-            raise BadInput(f"protocol {name}: {option} {value}: must be at most {FRICTION_MAX:g}")
-        values[option] = float(value)
+    for option in known:
+        value = options.get(option.name, option.default)
+        if value is option.empty:
+            raise BadInput(f"protocol {name}: {option.name} is missing")
+        lowest, highest = bounds.get(option.name, (0.0, inf))
+        values[option.name] = require(f"protocol {name}: {option.name}", value, lowest, highest)
     return protocol.run(settings or SimulationSettings(), **values)
 
 
 def run_protocol_to_file(
     name: str, options: Mapping[str, float], settings: SimulationSettings, out: str | os.PathLike
 ) -> dict[str, Any]:
-    """Run one experiment and write its result as JSON, with its provenance beside it.
-
-    Parameters and errors as for `run_protocol`.
-    """
+    """Run one experiment and write its result as JSON, with its provenance beside it."""
     started = start_clock()
     result = run_protocol(name, options, settings)
     result |= PROTOCOLS[name].verdict(result)

@@ -1,4 +1,4 @@
-"""Common parts of the known-answer experiments: the isotropic cloth, its supports, the demands."""
+"""Common parts of the known-answer experiments: specimens, their supports and motion, demands."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -9,7 +9,7 @@ import numpy as np
 
 from slipstitch.base.errors import BadInput, NotConverged
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.physics.cloth import ClothMesh, ClothSolver, SolverSettings
+from slipstitch.physics.cloth import ClothMesh, ClothSolver, Conditions, SolverSettings, rectangle
 from slipstitch.physics.fabric import ElasticTables, isotropic_tables
 
 AREAL_DENSITY_KG_M2 = 0.2
@@ -17,6 +17,8 @@ MEMBRANE_STIFFNESS_N_M = 200.0
 DIAGONALS_OVER_EDGES = 1000.0
 REST_M = 1.0e-7  # largest movement in a step that counts as rest
 STEPS_MAX = 400  # until it rests
+
+Motion = Callable[[float], np.ndarray]  # positions (V, 3) at a time, as for `ClothSolver.advance`
 
 
 @dataclass(frozen=True)
@@ -29,7 +31,6 @@ class Demand:
         Of the result. Words must be equal.
     allowed : float
         Largest error, of theory's value if `relative`, else in the value's unit.
-    relative : bool
     zero : float
         What counts as 0 where theory says 0.
     theory : float or None
@@ -70,19 +71,22 @@ class Demand:
 
 
 def require(name: str, value: float, lowest: float, highest: float = math.inf) -> float:
-    """Return a number as a float.
-
-    Raises
-    ------
-    BadInput
-        If it is not finite, or below the lowest or above the highest value allowed.
-    """
+    """Return a number as a float; BadInput if it is not finite, or out of bounds."""
     if not isinstance(value, int | float | np.number):
         raise BadInput(f"{name} must be a number, not {value!r}")
     if not (math.isfinite(value) and lowest <= value <= highest):
-        upper = "" if math.isinf(highest) else f" and at most {highest:g}"
-        raise BadInput(f"{name} must be at least {lowest:g}{upper}, not {value:g}")
+        upper = "" if math.isinf(highest) else f" and at most {highest:.4g}"
+        raise BadInput(f"{name} must be at least {lowest:.4g}{upper}, not {value:g}")
     return float(value)
+
+
+def clamped_strip(rows: int, length_m: float) -> tuple[ClothMesh, float]:
+    """Return the mesh of a strip two vertices wide, and its spacing in m.
+
+    Two rows straddle the clamp: a hinge there turns by a whole spacing's curvature.
+    """
+    spacing_m = length_m / (rows - 1.5)
+    return rectangle(rows, 2, length_m + 0.5 * spacing_m, spacing_m), spacing_m
 
 
 def held(mesh: ClothMesh, rows: int, cylindrical: bool = True) -> np.ndarray:
@@ -98,14 +102,7 @@ def cylindrical_strip_tables(membrane_stiffness_N_m: float, rigidity_Nm: float) 
 
     A narrow mesh of alternating diagonals bends more easily than a cylinder, by ke/4.95 instead
     of ke/4: its cross edges tilt to and fro. Stiff diagonals keep them from it, and the
-    rigidity is the cylinder's. The cells of the mesh must be squares.
-
-    Parameters
-    ----------
-    membrane_stiffness_N_m : float
-        Young's modulus times thickness.
-    rigidity_Nm : float
-        B of a unit width.
+    rigidity B of a unit width is the cylinder's. The cells of the mesh must be squares.
     """
     tables = isotropic_tables(AREAL_DENSITY_KG_M2, membrane_stiffness_N_m, 4 * rigidity_Nm)
     bending_N_m = tables.bending_N_m.copy()
@@ -113,44 +110,60 @@ def cylindrical_strip_tables(membrane_stiffness_N_m: float, rigidity_Nm: float) 
     return replace(tables, bending_N_m=bending_N_m)
 
 
-def hanging_with_tail(down_m: np.ndarray, length_m: float, height_m: float):
-    """Straight down, a quarter of a circle, a flat tail: where to start the drag from.
-
-    Returns
-    -------
-    ahead_m, height_m : ndarray, shape of ``down_m``
-    """
-    radius_m = min(0.2 * height_m, (length_m - height_m) / (math.pi / 2 - 1) * 0.8)
+def hanging_with_tail(mesh: ClothMesh, height_m: float) -> np.ndarray:
+    """Positions (V, 3): straight down, a quarter of a circle, a flat tail, to start a drag from."""
+    across, down_m = mesh.rest_uv_m.T
+    radius_m = min(0.2 * height_m, (down_m[-1] - height_m) / (math.pi / 2 - 1) * 0.8)
     straight_m, arc_m = height_m - radius_m, radius_m * math.pi / 2
     angle = np.clip((down_m - straight_m) / radius_m, 0.0, math.pi / 2)
     ahead = -radius_m * (1 - np.cos(angle)) - np.maximum(down_m - straight_m - arc_m, 0.0)
     height = height_m - np.minimum(down_m, straight_m) - radius_m * np.sin(angle)
-    return ahead, height
+    return np.column_stack([ahead, across, height])
 
 
-def solver_settings(settings: SimulationSettings, **changes: Any) -> SolverSettings:
-    """The simulation's solver settings, some changed; these specimens never touch themselves."""
-    return replace(SolverSettings.of(settings), self_contact=False, **changes)
+def started(
+    settings: SimulationSettings | SolverSettings,
+    mesh: ClothMesh,
+    tables: ElasticTables,
+    start_m: np.ndarray,
+    fixed: np.ndarray,
+    friction: Any = 0.0,
+    conditions: Conditions | None = None,
+    **changes: Any,
+) -> ClothSolver:
+    """Return a solver at the beginning of the motion, some of its settings changed.
 
-
-def bring_to_rest(
-    solver: ClothSolver, step_s: float, prescribed: Callable[[float], np.ndarray] | None = None
-) -> None:
-    """Step until nothing moves.
-
-    Parameters
-    ----------
-    solver : ClothSolver
-    step_s : float
-        About the period of the slowest motion, or longer.
-    prescribed : callable, optional
-        Positions of the fixed coordinates at a time, as for `ClothSolver.advance`.
-
-    Raises
-    ------
-    NotConverged
-        It still moves after 400 steps, or a step did not converge.
+    Specimens never touch themselves.
     """
+    solver = ClothSolver(
+        mesh,
+        tables,
+        start_m,
+        friction=friction,
+        fixed=fixed,
+        settings=replace(SolverSettings.of(settings), self_contact=False, **changes),
+        conditions=conditions,
+    )
+    solver.start()
+    return solver
+
+
+def carried(start_m: np.ndarray, *velocity_m_s: float) -> Motion:
+    """Return positions carried from a start (V, 3) at a velocity."""
+    return lambda time_s: start_m + np.multiply(velocity_m_s, time_s)
+
+
+def advance_evenly(
+    solver: ClothSolver, duration_s: float, step_s: float, prescribed: Motion | None = None
+) -> None:
+    """Step through a duration in steps of about a length."""
+    steps = round(duration_s / step_s)
+    for _ in range(steps):
+        solver.advance(duration_s / steps, prescribed)
+
+
+def bring_to_rest(solver: ClothSolver, step_s: float, prescribed: Motion | None = None) -> None:
+    """Step until nothing moves, or NotConverged; steps of the slowest motion's period or longer."""
     for step in range(STEPS_MAX):
         before_m = solver.positions_m.copy()
         solver.advance(step_s, prescribed)

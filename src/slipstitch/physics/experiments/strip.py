@@ -16,17 +16,19 @@ import numpy as np
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, root
 
-from slipstitch.base.errors import BadInput, NotConverged
+from slipstitch.base.errors import NotConverged
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics import GRAVITY_M_S2
-from slipstitch.physics.cloth import ClothSolver, Conditions, rectangle
+from slipstitch.physics.cloth import ClothSolver, Conditions
 from slipstitch.physics.experiments.specimen import (
     AREAL_DENSITY_KG_M2,
     Demand,
+    carried,
+    clamped_strip,
     cylindrical_strip_tables,
     held,
     require,
-    solver_settings,
+    started,
 )
 
 LENGTH_M = 0.20
@@ -42,27 +44,13 @@ FLAT_FOOT_RAD = math.pi / 2
 
 @dataclass(frozen=True)
 class StripState:
-    """One equilibrium of the pushed strip, in units of its length and rigidity.
+    """One equilibrium of the pushed strip, in units of its length and rigidity."""
 
-    Attributes
-    ----------
-    strain : float
-        ε, the clamp's descent over the strip's length.
-    foot_angle_rad : float
-        Angle between the foot's tangent and the vertical (rad); π/2 where it lies flat.
-    vertical_load : float
-        P L²/B, the push on the floor.
-    horizontal_load : float
-        |Q| L²/B, the friction that holds the foot.
-    curve : ndarray, shape (n, 2)
-        Points from the clamp to the foot: sideways and downwards, over the length.
-    """
-
-    strain: float
-    foot_angle_rad: float
-    vertical_load: float
-    horizontal_load: float
-    curve: np.ndarray
+    strain: float  # ε, the clamp's descent over the strip's length
+    foot_angle_rad: float  # between the foot's tangent and the vertical; π/2 where it lies flat
+    vertical_load: float  # P L²/B, the push on the floor
+    horizontal_load: float  # |Q| L²/B, the friction that holds the foot
+    curve: np.ndarray  # (n, 2): sideways and downwards from the clamp to the foot, over the length
 
     @property
     def load_ratio(self) -> float:
@@ -104,7 +92,7 @@ def _solve(foot_angle: float, guess) -> np.ndarray:
         return np.array([angle + foot_angle, curvature, sideways]) / foot_angle
 
     scale = np.array([foot_angle, 1.0, foot_angle])
-    solution = root(lambda x: residual(x * scale), np.asarray(guess) / scale, tol=1e-11)
+    solution = root(lambda x: residual(x * scale), guess / scale, tol=1e-11)
     if np.abs(solution.fun).max() > 1e-8:
         raise NotConverged(f"strip elastica: no equilibrium at foot angle {foot_angle:.4f} rad")
     return solution.x * scale
@@ -139,12 +127,8 @@ def strip_state_at_foot_angle(foot_angle_rad: float) -> StripState:
 
     Solves B θ'' = −(P sin θ + Q cos θ), θ(0) = 0 (clamp), θ'(L) = 0 (hinged foot),
     ∫ sin θ ds = 0 (foot under the clamp) by shooting, continued from the buckled straight strip.
-
-    Parameters
-    ----------
-    foot_angle_rad : float
-        Angle of the foot's tangent from the vertical (rad), 0.001 ≤ angle ≤ π/2. At π/2 the foot
-        lies flat, and the hinge stops being one.
+    The angle of the foot's tangent from the vertical is 0.001 to π/2, where the foot lies flat,
+    and the hinge stops being one.
     """
     angle = require("foot_angle_rad", foot_angle_rad, 1e-3, FLAT_FOOT_RAD)
     angles, states = _branch()
@@ -152,15 +136,9 @@ def strip_state_at_foot_angle(foot_angle_rad: float) -> StripState:
     if angle < angles[0]:
         guess = states[0] * (angle / angles[0], 1.0, angle / angles[0])
     curvature, vertical, horizontal = _solve(angle, guess)
-    solution = _integrate(curvature, vertical, horizontal, np.linspace(0.0, 1.0, 201))
-    curve = solution.y[2:].T
-    return StripState(
-        strain=float(1.0 - curve[-1, 1]),
-        foot_angle_rad=angle,
-        vertical_load=float(vertical),
-        horizontal_load=float(abs(horizontal)),
-        curve=curve,
-    )
+    curve = _integrate(curvature, vertical, horizontal, np.linspace(0.0, 1.0, 201)).y[2:].T
+    loads = float(vertical), float(abs(horizontal))
+    return StripState(float(1.0 - curve[-1, 1]), angle, *loads, curve)
 
 
 def _at(quantity, target: float) -> StripState:
@@ -174,16 +152,8 @@ def _at(quantity, target: float) -> StripState:
 def strip_state(strain: float) -> StripState:
     """Equilibrium of the strip, its foot held by friction, at a given strain.
 
-    Parameters
-    ----------
-    strain : float
-        ε, the clamp's descent over the length: at least 10⁻⁶, at most 0.3303, where the foot
-        lies flat.
-
-    Returns
-    -------
-    StripState
-        Its ``load_ratio`` is the friction it needs to hold.
+    The strain is at least 10⁻⁶, at most 0.3303, where the foot lies flat; the state's
+    ``load_ratio`` is the friction it needs to hold.
     """
     flat = strip_state_at_foot_angle(FLAT_FOOT_RAD)
     strain = require("strain", strain, 1e-6, flat.strain)
@@ -194,15 +164,10 @@ def strip_state(strain: float) -> StripState:
 
 @lru_cache(maxsize=64)
 def strip_slip_strain(friction: float) -> float | None:
-    """Strain at which the foot of a pushed strip slips.
+    """Strain at which the foot of a pushed strip slips; 0 without friction, None if it never does.
 
     |Q|/P grows with the strain; the foot slips where it reaches μ. At ε = 0.3303, |Q|/P = 0.3564
     the foot lies flat: with more friction the strip never slips as a whole (Sano et al. 2017).
-
-    Returns
-    -------
-    float or None
-        Slip strain ε, dimensionless; 0 without friction, None if it never slips.
     """
     friction = require("friction", friction, 0.0)
     smallest = strip_state_at_foot_angle(1e-3)
@@ -270,29 +235,14 @@ def _push(
     The slip strain is where |Q|/P, extrapolated, reaches the friction coefficient within the step
     in which the foot moved; the flat strain is the middle of the step in which it came to lie flat.
     """
-    if vertices < 8:
-        raise BadInput(f"protocol strip: vertices {vertices}: must be at least 8")
-    if gamma > LARGEST_GAMMA:
-        raise BadInput(
-            f"protocol strip: gamma {gamma:g}: must be at most {LARGEST_GAMMA}, for the weight "
-            "to be negligible"
-        )
-    if not START_STRAIN < strain <= 0.5:
-        raise BadInput(
-            f"protocol strip: strain {strain:g}: must be above {START_STRAIN:g}, at most 0.5"
-        )
     solver, start_m = _buckled_strip(settings, friction, vertices, gamma)
     step_s = settings.time_step_s
-    foot = slice(-2, None)
+    foot, clamp = slice(-2, None), carried(start_m, 0.0, 0.0, -SPEED_M_S)
     strains: list[float] = []
     ratios: list[float] = []
     slip_strain = flat_strain = None
     shape_m, shape_strain = _profile(solver), START_STRAIN
     rested_m = solver.positions_m[foot, 0].copy()
-
-    def clamp(time_s: float) -> np.ndarray:
-        return start_m - np.array([0.0, 0.0, SPEED_M_S * time_s])
-
     steps = int(np.ceil((strain - START_STRAIN) * LENGTH_M / (SPEED_M_S * step_s) - 1e-9))
     for _ in range(steps):
         solver.advance(step_s, clamp)
@@ -340,9 +290,7 @@ def _buckled_strip(
     settings: SimulationSettings, friction: float, vertices: int, gamma: float
 ) -> tuple[ClothSolver, np.ndarray]:
     """The strip in its buckling mode at the strain it starts from, loads in balance."""
-    # Two clamped rows straddle the clamp: a hinge there turns by a whole spacing's curvature.
-    spacing_m = LENGTH_M / (vertices - 1.5)
-    mesh = rectangle(vertices, 2, LENGTH_M + 0.5 * spacing_m, spacing_m)
+    mesh, spacing_m = clamped_strip(vertices, LENGTH_M)
     # Without weight as light as a strip of the largest gamma, so that inertia is nothing.
     weight_N_m2 = AREAL_DENSITY_KG_M2 * GRAVITY_M_S2
     rigidity_Nm = weight_N_m2 * LENGTH_M**3 / (gamma or LARGEST_GAMMA)
@@ -353,20 +301,10 @@ def _buckled_strip(
     turn = mode * np.sqrt(2 * START_STRAIN / np.mean(mode**2))
     sideways = np.concatenate([[0.0], np.cumsum(np.sin(turn))]) * spacing_m
     down = np.concatenate([[0.0], np.cumsum(np.cos(turn))]) * spacing_m
-    start_m = np.zeros((mesh.vertex_count, 3))
-    start_m[:, 0] = np.repeat(sideways, 2)
-    start_m[:, 1] = mesh.rest_uv_m[:, 0]
-    start_m[:, 2] = np.repeat(down[-1] - down, 2)
-    solver = ClothSolver(
-        mesh,
-        cylindrical_strip_tables(12 * rigidity_Nm / THICKNESS_M**2, rigidity_Nm),
-        start_m,
-        friction=friction,
-        fixed=held(mesh, 2),
-        settings=solver_settings(settings),
-        conditions=Conditions(
-            gravity_m_s2=(0.0, 0.0, -GRAVITY_M_S2 if gamma else 0.0), nodal_force_N=push_N / 2
-        ),
+    start_m = np.column_stack(
+        [np.repeat(sideways, 2), mesh.rest_uv_m[:, 0], np.repeat(down[-1] - down, 2)]
     )
-    solver.start()
-    return solver, start_m
+    tables = cylindrical_strip_tables(12 * rigidity_Nm / THICKNESS_M**2, rigidity_Nm)
+    gravity_m_s2 = (0.0, 0.0, -GRAVITY_M_S2 if gamma else 0.0)
+    conditions = Conditions(gravity_m_s2=gravity_m_s2, nodal_force_N=push_N / 2)
+    return started(settings, mesh, tables, start_m, held(mesh, 2), friction, conditions), start_m

@@ -18,62 +18,34 @@ from scipy.integrate import solve_bvp
 from slipstitch.base.errors import BadInput, NotConverged
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics import GRAVITY_M_S2
-from slipstitch.physics.cloth import ClothSolver, rectangle
+from slipstitch.physics.cloth import rectangle
 from slipstitch.physics.experiments.specimen import (
     AREAL_DENSITY_KG_M2,
     MEMBRANE_STIFFNESS_N_M,
     Demand,
+    advance_evenly,
+    carried,
     cylindrical_strip_tables,
     hanging_with_tail,
     held,
     require,
-    solver_settings,
+    started,
 )
 
 DEMANDS = (Demand("pull_over_w_m", 0.02), Demand("flat_tail_m", 1e-3, relative=False))
-SHORTEST_M = 1e-9
+LENGTH_M, HOLDER_M = 0.20, 0.15  # of the simulated strip, and height of its holder, a hinge
 
 
 @dataclass(frozen=True)
 class SteadyDrag:
-    """Steady shape and loads of a dragged strip.
+    """Steady shape and loads of a dragged strip."""
 
-    Attributes
-    ----------
-    pull_over_w_m : float
-        Horizontal pull at the holder over the weight per length (m).
-    floor_load_over_w_m : float
-        Load on the floor over the weight per length (m).
-    flat_tail_m : float
-        Length of the tail that lies flat on the floor (m); 0 if only the end touches.
-    holder_ahead_of_tail_m : float
-        Horizontal distance from the tail's end to the holder, positive in the direction of the
-        drag (m).
-    regime : {"flat tail", "end only", "clear of the floor"}
-        What touches the floor.
-    curve_m : ndarray, shape (n, 2)
-        Points from the tail's end to the holder: distance ahead of the tail's end, height (m).
-    """
-
-    pull_over_w_m: float
-    floor_load_over_w_m: float
-    flat_tail_m: float
-    holder_ahead_of_tail_m: float
-    regime: str
-    curve_m: np.ndarray
-
-
-def _checked(friction: float, length_m: float, height_m: float) -> tuple[float, float, float]:
-    return (
-        require("friction", friction, 0.0),
-        require("length_m", length_m, SHORTEST_M),
-        require("height_m", height_m, SHORTEST_M),
-    )
-
-
-def _plumb(length: float, height: float) -> SteadyDrag:
-    curve = np.array([[0.0, height - length], [0.0, height]])
-    return SteadyDrag(0.0, 0.0, 0.0, 0.0, "clear of the floor", curve)
+    pull_over_w_m: float  # horizontal pull at the holder over the weight per length
+    floor_load_over_w_m: float  # load on the floor over the weight per length
+    flat_tail_m: float  # length that lies flat on the floor; 0 if only the end touches
+    holder_ahead_of_tail_m: float  # horizontally, from the tail's end, in the direction of the drag
+    regime: str  # what touches the floor: flat tail, end only, clear of the floor
+    curve_m: np.ndarray  # (n, 2) from the tail's end to the holder: ahead of the end, height
 
 
 def flexible_strip_drag(friction: float, length_m: float, height_m: float) -> SteadyDrag:
@@ -84,23 +56,13 @@ def flexible_strip_drag(friction: float, length_m: float, height_m: float) -> St
 
         c = L + μ H − √((L + μ H)² − L² + H²),    pull = μ w c.
 
-    Parameters
-    ----------
-    friction : float
-        Friction coefficient μ ≥ 0 between strip and floor.
-    length_m : float
-        Length L of the strip (m).
-    height_m : float
-        Height H of the holder above the floor (m). With H ≥ L the strip hangs clear of the floor.
-
-    Returns
-    -------
-    SteadyDrag
-        Loads, tail and shape (m).
+    With a holder's height H ≥ L the strip hangs clear of the floor.
     """
-    friction, length, height = _checked(friction, length_m, height_m)
+    friction = require("friction", friction, 0.0)
+    length, height = require("length_m", length_m, 1e-9), require("height_m", height_m, 1e-9)
     if height >= length:
-        return _plumb(length, height)
+        plumb = np.array([[0.0, height - length], [0.0, height]])
+        return SteadyDrag(0.0, 0.0, 0.0, 0.0, "clear of the floor", plumb)
     reach = length + friction * height
     # The smaller root written without cancellation.
     tail = (length**2 - height**2) / (reach + math.sqrt(reach**2 - length**2 + height**2))
@@ -115,6 +77,7 @@ def flexible_strip_drag(friction: float, length_m: float, height_m: float) -> St
     return SteadyDrag(scale, tail, tail, float(ahead[-1]), "flat tail", curve)
 
 
+@dataclass(frozen=True)
 class _Elastica:
     """The hanging part as a boundary value problem, lengths in units of the gravity length.
 
@@ -122,60 +85,42 @@ class _Elastica:
     R the point load of the floor at s = 0, moment balance is θ'' = T sin θ − (s − R) cos θ.
     """
 
-    def __init__(self, friction: float, length: float, height: float, holder_angle: float | None):
-        self.friction = friction
-        self.length = length
-        self.height = height
-        self.holder_angle = holder_angle
+    friction: float
+    length: float
+    height: float
+    holder_angle: float | None
 
-    def _slope(self, tension, load, span, station, state):
-        angle, curvature = state[0], state[1]
-        sine, cosine = np.sin(angle), np.cos(angle)
-        bending = tension * sine - (span * station - load) * cosine
-        return span * np.vstack((curvature, bending, cosine, sine))
+    def solve(self, station, guess, *unknowns):
+        """Solve for the load on the touchdown and the length off the floor; or for the first alone.
 
-    def _at_the_holder(self, end) -> float:
-        return end[1] if self.holder_angle is None else end[0] - self.holder_angle
-
-    def flat_tail(self, station, guess, load, span):
-        """Unknown: the point load at the touchdown and the length off the floor."""
+        Then the end alone touches, and its angle is free.
+        """
+        tail_lies = len(unknowns) == 2
 
         def slope(x, state, unknowns):
-            load, span = unknowns
+            load, span = unknowns if tail_lies else (unknowns[0], self.length)
             tension = self.friction * (self.length - span + load)
-            return self._slope(tension, load, span, x, state)
+            sine, cosine = np.sin(state[0]), np.cos(state[0])
+            bending = tension * sine - (span * x - load) * cosine
+            return span * np.vstack((state[1], bending, cosine, sine))
 
-        def ends(start, end, unknowns):
-            return np.array([*start, end[3] - self.height, self._at_the_holder(end)])
+        def ends(start, end, _):
+            at_the_floor = start if tail_lies else start[1:]
+            held = end[1] if self.holder_angle is None else end[0] - self.holder_angle
+            return np.array([*at_the_floor, end[3] - self.height, held])
 
-        return _solve(slope, ends, station, guess, (load, span))
-
-    def end_only(self, station, guess, load):
-        """Unknown: the load on the end that touches; its angle is free."""
-
-        def slope(x, state, unknowns):
-            load = unknowns[0]
-            return self._slope(self.friction * load, load, self.length, x, state)
-
-        def ends(start, end, unknowns):
-            return np.array([*start[1:], end[3] - self.height, self._at_the_holder(end)])
-
-        return _solve(slope, ends, station, guess, (load,))
+        return solve_bvp(slope, ends, station, guess, p=unknowns, tol=1e-7, max_nodes=20000)
 
 
-def _solve(slope, ends, station, guess, unknowns):
-    return solve_bvp(slope, ends, station, guess, p=unknowns, tol=1e-7, max_nodes=20000)
-
-
-def _flexible_guess(friction: float, length: float, height: float, bending_length: float):
-    """Shape of the flexible strip, its corner at the touchdown rounded over the bending length."""
+def _flexible_guess(friction: float, length: float, height: float):
+    """Shape of the flexible strip, its corner at the touchdown rounded over the gravity length."""
     flexible = flexible_strip_drag(friction, length, height)
     tail = flexible.flat_tail_m
     span = length - tail
     tension = max(flexible.pull_over_w_m, 1e-3 * length)
     station = np.linspace(0.0, 1.0, 401)
     arc = station * span
-    angle = np.arctan2(arc, tension) * -np.expm1(-arc / bending_length)
+    angle = np.arctan2(arc, tension) * -np.expm1(-arc)
     curvature = np.gradient(angle, arc)
     ahead = np.concatenate(([0.0], np.cumsum(np.diff(arc) * np.cos(angle[1:]))))
     up = np.concatenate(([0.0], np.cumsum(np.diff(arc) * np.sin(angle[1:]))))
@@ -203,48 +148,35 @@ def steady_strip_drag(
 
     Parameters
     ----------
-    friction : float
-        Friction coefficient μ ≥ 0 between strip and floor.
-    length_m : float
-        Length L of the strip (m).
-    height_m : float
-        Height H of the holder above the floor (m).
     gravity_length_m : float
-        (B/w)^(1/3) (m): 0 for a flexible strip, at most L.
+        (B/w)^(1/3) (m): 0 for a flexible strip, at most the strip's length.
     holder_angle_rad : float or None
-        Angle above the horizontal at which the holder clamps the strip (rad). π/2, the default,
-        for a strip that leaves its clamp straight down; None for a hinge, as a single row of
-        pinned vertices is. At a gravity length of 2 cm the hinge holds the end 1 mm further
-        ahead; the pull hardly differs.
-
-    Returns
-    -------
-    SteadyDrag
-        Loads, tail and shape (m).
+        Angle above the horizontal at which the holder clamps the strip (rad). π/2 for a strip that
+        leaves its clamp straight down; None for a hinge, as a single row of pinned vertices is. At
+        a gravity length of 2 cm the hinge holds the end 1 mm further ahead; the pull hardly
+        differs.
     """
-    friction, length_m, height_m = _checked(friction, length_m, height_m)
+    flexible = flexible_strip_drag(friction, length_m, height_m)
     unit = require("gravity_length_m", gravity_length_m, 0.0, length_m)
     if holder_angle_rad is not None:
         require("holder_angle_rad", holder_angle_rad, 0.0, math.pi)
-    if height_m >= length_m:
-        if holder_angle_rad is not None:
+        if height_m >= length_m:
             raise BadInput("height_m must be below length_m where the holder clamps the strip")
-        return _plumb(length_m, height_m)
-    if unit < 1e-3 * length_m:
+    if height_m >= length_m or unit < 1e-3 * length_m:
         # Boundary layers thinner than a thousandth of the strip change nothing that is reported.
-        return flexible_strip_drag(friction, length_m, height_m)
+        return flexible
 
     length, height = length_m / unit, height_m / unit
     problem = _Elastica(friction, length, height, holder_angle_rad)
-    station, guess, tail, span = _flexible_guess(friction, length, height, 1.0)
-    solution = problem.flat_tail(station, guess, 0.1, span)
+    station, guess, tail, span = _flexible_guess(friction, length, height)
+    solution = problem.solve(station, guess, 0.1, span)
     if solution.success and 0.0 <= solution.p[1] <= length and solution.p[0] >= 0.0:
         load, span = solution.p
         return _result(problem, solution, float(load), float(span), "flat tail", unit)
 
     # The end alone touches: start from the flat-tail shape stretched over the whole strip.
     for start in (tail, 0.5 * tail, 0.25 * tail, 0.1 * tail):
-        solution = problem.end_only(station, guess, start)
+        solution = problem.solve(station, guess, start)
         if solution.success and solution.p[0] >= 0.0 and solution.sol(0.0)[0] >= 0.0:
             return _result(problem, solution, float(solution.p[0]), length, "end only", unit)
     raise NotConverged(
@@ -273,21 +205,13 @@ def _result(
 
 
 def strip_drag(
-    settings: SimulationSettings,
-    friction: float,
-    gravity_length_m: float = 0.02,
-    length_m: float = 0.20,
-    height_m: float = 0.15,
+    settings: SimulationSettings, friction: float, gravity_length_m: float = 0.02
 ) -> dict[str, Any]:
     """A strip hinged at a holder above the floor, dragged until its shape is steady.
 
     Kept cylindrical, so that the plate rigidity is a quarter of the hinges' stiffness. As many
-    vertices along it as along a side of the simulated cloth.
-
-    Parameters
-    ----------
-    gravity_length_m : float
-        (B/w)^(1/3), bending rigidity over weight per area.
+    vertices along it as along a side of the simulated cloth. The gravity length is (B/w)^(1/3),
+    of bending rigidity and weight per area.
 
     Returns
     -------
@@ -296,37 +220,21 @@ def strip_drag(
         ``holder_ahead_of_tail_m``, each also as ``theory_...``; w is the weight per length.
     """
     rows = settings.vertices_per_side
-    spacing_m = length_m / (rows - 1)
-    mesh = rectangle(rows, 3, length_m, 2 * spacing_m)
+    spacing_m = LENGTH_M / (rows - 1)
+    mesh = rectangle(rows, 3, LENGTH_M, 2 * spacing_m)
     weight_N_m2 = AREAL_DENSITY_KG_M2 * GRAVITY_M_S2
-    down = mesh.rest_uv_m[:, 1]
-    ahead, height = hanging_with_tail(down, length_m, height_m)
-    start_m = np.column_stack([ahead, mesh.rest_uv_m[:, 0], height])
-    solver = ClothSolver(
-        mesh,
-        cylindrical_strip_tables(MEMBRANE_STIFFNESS_N_M, weight_N_m2 * gravity_length_m**3),
-        start_m,
-        friction=friction,
-        fixed=held(mesh, 1),
-        settings=solver_settings(settings),
-    )
-    solver.start()
+    start_m = hanging_with_tail(mesh, HOLDER_M)
+    tables = cylindrical_strip_tables(MEMBRANE_STIFFNESS_N_M, weight_N_m2 * gravity_length_m**3)
+    solver = started(settings, mesh, tables, start_m, held(mesh, 1), friction)
     # Far enough for the longest tail to be drawn out, slow enough for inertia to be nothing.
-    speed_m_s, duration_s = 0.02, 20.0
-    steps = round(duration_s / settings.time_step_s)
-
-    def pulled(time_s: float) -> np.ndarray:
-        return start_m + np.array([speed_m_s * time_s, 0.0, 0.0])
-
-    for _ in range(steps):
-        solver.advance(duration_s / steps, pulled)
+    advance_evenly(solver, 20.0, settings.time_step_s, carried(start_m, 0.02, 0.0, 0.0))
     width_m = 2 * spacing_m
     w_N_m = weight_N_m2 * width_m
     normal_N = solver.floor_forces()[:, 2].reshape(rows, 3).sum(axis=1)
     along = solver.positions_m[:, 0].reshape(rows, 3).mean(axis=1)
     touching = np.flatnonzero(normal_N > 0)
     expected = steady_strip_drag(
-        friction, length_m, height_m, gravity_length_m, holder_angle_rad=None
+        friction, LENGTH_M, HOLDER_M, gravity_length_m, holder_angle_rad=None
     )
     measured = {
         "pull_over_w_m": float(solver.reactions()[:, 0].sum() / w_N_m),

@@ -18,6 +18,7 @@ from slipstitch.physics.experiments.specimen import (
     cylindrical_strip_tables,
     hanging_with_tail,
     held,
+    started,
 )
 from slipstitch.physics.friction_law import FrictionLaw
 from slipstitch.physics.friction_law.mechanisms import REFERENCE_HUMIDITY_PCT
@@ -81,20 +82,7 @@ def drag_tracked(
     frame_rate_hz: float = 2.4,
     settings: SolverSettings | None = None,
 ) -> TrackedShape:
-    """Simulate the forward stroke of one run.
-
-    Parameters
-    ----------
-    rows : int
-        Vertices along the cloth.
-    step_s : float
-        Largest time step.
-
-    Raises
-    ------
-    NotConverged
-        A step could not be solved.
-    """
+    """Simulate the forward stroke of one run, with a number of vertices along the cloth."""
     solver, start_m = _laid_down(
         law, sheet, run, rows, settings or SolverSettings(penetration_m=PENETRATION_M)
     )
@@ -131,41 +119,23 @@ def _laid_down(
         cylindrical_strip_tables(MEMBRANE_STIFFNESS_N_M, sheet.bending_Nm),
         areal_density_kg_m2=sheet.areal_density_kg_m2,
     )
-    down, across = mesh.rest_uv_m[:, 1], mesh.rest_uv_m[:, 0]
-    ahead, height = hanging_with_tail(down, sheet.length_m, run.height_m)
     fixed = held(mesh, 1)
     along = sin(run.tilt_downhill_rad)
     # Without friction, on level ground: the tail comes to lie without tension.
-    level = ClothSolver(
-        mesh,
-        tables,
-        np.column_stack([ahead, across, height]),
-        friction=0.0,
-        fixed=fixed,
-        settings=settings,
-    )
-    level.start()
+    level = started(settings, mesh, tables, hanging_with_tail(mesh, run.height_m), fixed)
     for _ in range(RELAXING_STEPS):
         level.advance(RELAXING_STEP_S)
     start_m = level.positions_m
     # On a slope the cloth hangs plumb all the same: lean it, holder and all, before it is dragged.
     start_m[:, 0] -= tan(run.tilt_downhill_rad) * np.maximum(start_m[:, 2], 0.0)
-    solver = ClothSolver(
-        mesh,
-        tables,
-        start_m,
-        friction=law,
-        fixed=fixed,
-        settings=settings,
-        conditions=Conditions(
-            gravity_m_s2=(GRAVITY_M_S2 * along, 0.0, -GRAVITY_M_S2 * sqrt(1 - along**2)),
-            # The first stroke slides along -v, which is at -pi/2 from u.
-            warp_angle_rad=-pi / 2 - run.orientation_rad,
-            relative_humidity_pct=run.relative_humidity_pct,
-            repeats=run.repeats,
-        ),
+    conditions = Conditions(
+        gravity_m_s2=(GRAVITY_M_S2 * along, 0.0, -GRAVITY_M_S2 * sqrt(1 - along**2)),
+        # The first stroke slides along -v, which is at -pi/2 from u.
+        warp_angle_rad=-pi / 2 - run.orientation_rad,
+        relative_humidity_pct=run.relative_humidity_pct,
+        repeats=run.repeats,
     )
-    solver.start()
+    solver = started(settings, mesh, tables, start_m, fixed, law, conditions)
     solver.floor.rest(run.dwell_s)
     return solver, start_m
 
