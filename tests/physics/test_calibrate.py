@@ -71,6 +71,12 @@ def test_a_simulator_with_small_errors_meets_every_demand(tmp_path):
     }
     assert calibration["settings"]["time_step_s"] == SIMULATION.time_step_s
     assert "frames" not in calibration["settings"]
+    slopes = [
+        math.tan(math.radians(one["options"]["slope_deg"])) / one["options"]["friction"]
+        for one in calibration["experiments"]
+        if one["protocol"] == "incline"
+    ]
+    assert slopes == pytest.approx(3 * [0.999, 1.001, 1.5])  # about the angle of friction
     path = tmp_path / "calibration.json"
     write_calibration(calibration, path, {"stage": "calibrate"})
     written = json.loads(path.read_text())
@@ -82,13 +88,10 @@ def test_a_simulator_with_small_errors_meets_every_demand(tmp_path):
 @pytest.mark.parametrize(
     ("protocol", "key", "change", "name"),
     [
-        ("incline", "sticks", lambda value: False, "incline sticks"),
-        ("incline", "sticks", lambda value: True, "incline sticks"),
-        ("incline", "creep_m", lambda value: 2e-6, "incline creep"),
+        ("incline", "sticks", lambda value: not value, "incline sticks"),
         ("incline", "creep_m", lambda value: math.nan, "incline creep"),
         ("incline", "acceleration_m_s2", lambda value: 1.002 * value, "incline acceleration"),
         ("flat-drag", "pull_over_weight", lambda value: 0.99 * value, "flat-drag pull"),
-        ("strip-drag", "pull_over_w_m", lambda value: 1.03 * value, "strip-drag pull"),
         ("strip-drag", "pull_over_w_m", lambda value: None, "strip-drag pull"),
         ("strip-drag", "holder_ahead_of_tail_m", lambda value: value + 1.1e-3, "strip-drag tail"),
     ],
@@ -103,15 +106,6 @@ def test_every_demand_can_fail_and_then_nothing_is_written(
         write_calibration(calibration, path, {})
     assert list(tmp_path.iterdir()) == []
     assert f'"name": "{name}' in capsys.readouterr().err
-
-
-def test_experiments_straddle_the_angle_of_friction():
-    slopes = [
-        math.tan(math.radians(one.options["slope_deg"])) / one.options["friction"]
-        for one in experiments()
-        if one.protocol == "incline" and one.options["friction"] == 0.5
-    ]
-    assert slopes == pytest.approx([0.999, 1.001, 1.5])
 
 
 def test_an_experiment_that_fails_is_named():
@@ -164,25 +158,24 @@ def fails_as_configured(name, options, simulation):
 
 
 @pytest.mark.parametrize(
-    "runner, demands, chosen",
+    "runner, demands, iterations, step_s",
     [
         # Five iterations at most, or 0.1 s steps, would make a push cheaper.
-        (answer, (module.STRIP_SLIP_STRAIN,), {"newton_iterations_max": 30, "time_step_s": 0.02}),
+        (answer, (module.STRIP_SLIP_STRAIN,), 30, 0.02),
         # Else the cheapest that meet the demand.
-        (
-            fails_as_configured,
-            (module.STRIP_SLIP_STRAIN,),
-            {"newton_iterations_max": 5, "time_step_s": 0.02},
-        ),
-        (answer, (0.02, 0.02), {"newton_iterations_max": 30, "time_step_s": 0.02}),
-        (answer, (1e-3,), {"newton_iterations_max": 30, "time_step_s": 0.005}),
+        (fails_as_configured, (module.STRIP_SLIP_STRAIN,), 5, 0.02),
+        (answer, (0.02, 0.02), 30, 0.02),
+        (answer, (1e-3,), 30, 0.005),
     ],
     ids=["configured", "cheapest", "never looser", "smaller step"],
 )
-def test_the_configured_settings_are_chosen_unless_they_fail(monkeypatch, runner, demands, chosen):
+def test_the_configured_settings_are_chosen_unless_they_fail(
+    monkeypatch, runner, demands, iterations, step_s
+):
     demand(monkeypatch, *demands)
     found = strip_calibration(trials(runner))
-    assert chosen.items() <= found["chosen"]["settings"].items()
+    chosen = found["chosen"]["settings"]
+    assert (chosen["newton_iterations_max"], chosen["time_step_s"]) == (iterations, step_s)
     coarse = next(one for one in found["trials"] if one["settings"]["time_step_s"] == 0.1)
     assert coarse["meets"] == (demands == (0.02, 0.02)) and not coarse["may_be_chosen"]
     assert coarse["work"] < found["chosen"]["work"]
@@ -190,12 +183,9 @@ def test_the_configured_settings_are_chosen_unless_they_fail(monkeypatch, runner
 
 def test_a_demand_that_nothing_meets_says_what_came_closest(monkeypatch):
     demand(monkeypatch, 1e-6)
-    with pytest.raises(DemandNotMet) as caught:
+    closest = "closest: time_step_s = 0.005 with slip strain within 0.0005"
+    with pytest.raises(DemandNotMet, match=rf"\(slip strain within 1e-06.* {closest}"):
         strip_calibration(trials())
-    said = str(caught.value.args[0])
-    assert said.startswith("no settings meet the requirements (slip strain within 1e-06")
-    assert "closest: time_step_s = 0.005 with slip strain within 0.0005" in said
-    assert "\n" not in said
 
 
 def test_wrong_regimes_and_pushes_that_cannot_be_solved_are_counted_and_kept():
@@ -218,7 +208,6 @@ def test_settings_differ_from_the_configured_ones_in_one_key_only():
 
 
 def test_the_strip_is_the_protocol_s():
-
     rigidity_Nm = 1e9 * strip.THICKNESS_M**3 / 12
     weight = AREAL_DENSITY_KG_M2 * GRAVITY_M_S2 * strip.LENGTH_M**3
     assert gamma_of(1e9) == pytest.approx(weight / rigidity_Nm)
@@ -296,17 +285,17 @@ def test_an_impossible_demand_leaves_no_calibration_but_a_picture_of_what_failed
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("only_failures", [False, True])
 def test_with_only_failures_nothing_is_drawn_of_a_calibration_that_meets_the_demand(
-    config, tmp_path, only_failures
+    config, tmp_path
 ):
     write_config(config, tmp_path / "config.json")
     words = ["calibrate", "--config", str(tmp_path / "config.json")]
     words += ["--sweeps", *map(str, sweeps(config, tmp_path))]
     words += ["--out", str(tmp_path / "calibration.json")]
     words += ["--settings-picture", str(tmp_path / "settings.svg")]
-    assert main(words + ["--only-failures"] * only_failures) == 0
-    assert (tmp_path / "settings.svg").exists() != only_failures
+    for only_failures in (True, False):
+        assert main(words + ["--only-failures"] * only_failures) == 0
+        assert (tmp_path / "settings.svg").exists() != only_failures
 
 
 def test_sweeps_of_another_configuration_are_refused(config, tmp_path):
@@ -314,10 +303,9 @@ def test_sweeps_of_another_configuration_are_refused(config, tmp_path):
     other = resolve_config({"calibrate": {"sweep_damping_s": [0.5]}})
     with pytest.raises(BadInput, match=r"settings tried, but the configuration has"):
         read_sweeps(paths, other)
-    for changed in ({"step_error_m": 1e-5}, {"bending_stiffness_at": "end"}):
-        stepped = config.simulation.model_copy(update=changed)
-        with pytest.raises(BadInput, match=r"base: pushed with other simulation"):
-            read_sweeps(paths, config.model_copy(update={"simulation": stepped}))
+    stepped = config.simulation.model_copy(update={"step_error_m": 1e-5})
+    with pytest.raises(BadInput, match=r"base: pushed with other simulation"):
+        read_sweeps(paths, config.model_copy(update={"simulation": stepped}))
     (tmp_path / "base.json").write_text("{")
     with pytest.raises(BadInput, match=r"base\.json: damaged or not a JSON file"):
         read_sweeps(paths, config)

@@ -3,14 +3,12 @@
 import json
 import math
 import os
-import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from tqdm import tqdm
-
 from slipstitch.base.errors import BadInput, Damaged, SlipstitchError
+from slipstitch.base.progress import note, progress
 from slipstitch.base.provenance import provenance_record, read_json, start_clock, write_json
 from slipstitch.config.simulation import BASE, KEYS, SimulationSettings
 from slipstitch.physics.calibration.checks import describe_check, experiments
@@ -51,16 +49,15 @@ class DemandNotMet(SlipstitchError):  # noqa: N818 - says what happened, as the 
 
 
 def judge(trial: Mapping[str, Any]) -> Trial:
-    """Sum up the runs with one choice of settings.
+    """Sum up the runs with one choice of settings, see `sweep.sweep`.
 
     Returns
     -------
     dict
-        The trial (`sweep.run_settings`, and its ``key``), with ``strain_error`` and
-        ``friction_error`` (the largest of the runs that slip; None if none could be compared),
-        ``wrong_regimes`` (count; a run that was not solved is wrong), ``meets``, ``distance``
-        (largest error over its limit, infinite with a wrong regime), ``newton_iterations`` x
-        vertices as ``work``, and ``cpu_s``.
+        The trial, with ``strain_error`` and ``friction_error`` (the largest of the runs that slip;
+        None if none could be compared), ``wrong_regimes`` (count; a run that was not solved is
+        wrong), ``meets``, ``distance`` (largest error over its limit, infinite with a wrong
+        regime), ``newton_iterations`` x vertices as ``work``, and ``cpu_s``.
     """
     runs = trial["runs"]
     right = [run for run in runs if run["regime"] == run["theory_regime"]]
@@ -89,11 +86,7 @@ def choose(trials: Sequence[Trial]) -> Trial:
     What may be chosen instead of the configured settings is tighter, so that the grid costs more
     with it, whatever a single push costs: it is taken only where the configured settings fail.
     Cost is counted in Newton iterations times vertices, which is the same on every machine.
-
-    Raises
-    ------
-    DemandNotMet
-        If no eligible settings meet the requirements; names the closest.
+    `DemandNotMet` names the closest if no eligible settings meet the requirements.
     """
     base = next(trial for trial in trials if trial["key"] == BASE)
     if base["meets"]:
@@ -119,9 +112,7 @@ def choose(trials: Sequence[Trial]) -> Trial:
 def may_be_chosen(trial: Mapping[str, Any], base: Mapping[str, Any]) -> bool:
     """Whether a trial differs from the configured settings in nothing but allowed ways."""
     key = trial["key"]
-    if key in (BASE, *FREE):
-        return True
-    return key in NEVER_LOOSER and trial["settings"][key] < base[key]
+    return key in (BASE, *FREE) or (key in NEVER_LOOSER and trial["settings"][key] < base[key])
 
 
 def describe(trial: Mapping[str, Any]) -> str:
@@ -141,7 +132,7 @@ def calibrate(simulation: SimulationSettings, run_protocol: RunProtocol) -> dict
         and ``experiments`` (protocol, options, result and wall time in s of each run).
     """
     checks, runs = [], []
-    for experiment in tqdm(experiments(), unit="experiment", disable=not sys.stderr.isatty()):
+    for experiment in progress(experiments(), unit="experiment"):
         began = time.perf_counter()
         judged, result = experiment.run(
             lambda name, options: run_protocol(name, dict(options), simulation)
@@ -158,9 +149,8 @@ def calibrate(simulation: SimulationSettings, run_protocol: RunProtocol) -> dict
         )
         failed = [check for check in judged if not check["met"]]
         verdict = "NOT MET" if failed else "agrees with theory"
-        lines = [f"{experiment.describe()}: {verdict}, {wall_s:.1f} s"]
-        lines += [f"  {describe_check(check)}" for check in failed]
-        print(*lines, sep="\n", file=sys.stderr, flush=True)
+        note(f"{experiment.describe()}: {verdict}, {wall_s:.1f} s")
+        note(*(f"  {describe_check(check)}" for check in failed))
     return {
         "settings": verified_settings(simulation),
         "met": all(check["met"] for check in checks),
@@ -172,16 +162,12 @@ def calibrate(simulation: SimulationSettings, run_protocol: RunProtocol) -> dict
 def write_calibration(calibration: Mapping[str, Any], path: str | os.PathLike, record) -> None:
     """Write a calibration that met its requirements, with its provenance record.
 
-    Raises
-    ------
-    DemandNotMet
-        If a requirement is not met: one line naming the check; nothing is written, and the whole
-        report goes to stderr.
+    If a requirement is not met, `DemandNotMet` names the check; nothing is written, and the whole
+    report goes to stderr.
     """
     failed = [check for check in calibration["checks"] if not check["met"]]
     if failed:
-        json.dump(calibration, sys.stderr, indent=1, default=str)
-        print(file=sys.stderr, flush=True)
+        note(json.dumps(calibration, indent=1, default=str))
         others = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
         raise DemandNotMet(describe_check(failed[0]) + others)
     write_json(path, calibration, record)
@@ -195,18 +181,10 @@ def strip_calibration(trials: list[dict[str, Any]]) -> dict[str, Any]:
     dict
         ``demand``, ``trials`` (judged), ``chosen`` (one of them, with the strips' shapes) and
         ``not_told`` (what the strip does not tell).
-
-    Raises
-    ------
-    DemandNotMet
-        If no eligible settings meet the requirements; ``trials`` is its second argument.
     """
     judged = [judge(trial) for trial in trials]
     base = next(trial for trial in judged if trial["key"] == BASE)
-    try:
-        chosen = choose(judged)
-    except DemandNotMet as error:
-        raise DemandNotMet(str(error), judged) from None
+    chosen = choose(judged)
     return {
         "demand": {"slip_strain": STRIP_SLIP_STRAIN, "friction": STRIP_FRICTION},
         "trials": [
@@ -229,26 +207,16 @@ def calibrate_to_file(
     sweeps: list[str | os.PathLike] | None = None,
     draw: Draw | None = None,
 ) -> dict:
-    """Calibrate with a whole configuration and write the JSON file.
+    """Calibrate with a whole configuration and write the JSON file, or raise `DemandNotMet`.
 
     Parameters
     ----------
-    config : Config
-    out : path
-        The JSON file.
     sweeps : list of path, optional
         What `sweep.sweep_to_file` wrote, of all keys; made now if not given.
     draw : callable, optional
         Told what there is to draw, its record, and whether a requirement is not met; see
         `pictures.draw_pictures`. Handed over, so that plots are no part of the calibration: else
         another line width would simulate everything again.
-
-    Raises
-    ------
-    BadInput
-        If a sweep's file cannot be read or belongs to another configuration.
-    DemandNotMet
-        If a requirement is not met.
     """
     from slipstitch.physics.experiments.registry import run_protocol
 
@@ -267,11 +235,11 @@ def calibrate_to_file(
     )
     try:
         strip = strip_calibration(trials)
-    except DemandNotMet as error:
+    except DemandNotMet:
         if draw is not None:
-            draw({"strip": {"trials": error.args[1]}}, record, True)
-        raise DemandNotMet(error.args[0]) from None
-    print(f"strip: chosen: {describe(strip['chosen'])}", file=sys.stderr, flush=True)
+            draw({"strip": {"trials": [judge(trial) for trial in trials]}}, record, True)
+        raise
+    note(f"strip: chosen: {describe(strip['chosen'])}")
     chosen = {k: v for k, v in strip["chosen"]["settings"].items() if k != "vertices"}
     simulation = simulation.model_copy(update=chosen)
     calibration = calibrate(simulation, run_protocol) | {"strip": strip}
@@ -292,7 +260,7 @@ def _known_convergence(simulation: SimulationSettings) -> dict[str, Any]:
     """
     study = read_study()
     if study is None:
-        print("convergence: no study came with the package", file=sys.stderr, flush=True)
+        note("convergence: no study came with the package")
         return {"convergence": None}
     differ = studied_settings_that_differ(study["studied"], simulation)
     found = [
@@ -308,19 +276,12 @@ def _known_convergence(simulation: SimulationSettings) -> dict[str, Any]:
             for one in found
             if one["verdict"] != CONVERGED
         )
-    print(f"convergence: {words or CONVERGED}", file=sys.stderr, flush=True)
+    note(f"convergence: {words or CONVERGED}")
     return {"convergence": found, "convergence_table_sha256": study_digest()}
 
 
 def read_sweeps(paths: list[str | os.PathLike], config) -> list[dict[str, Any]]:
-    """Read sweeps, all keys of them, made with this configuration.
-
-    Raises
-    ------
-    BadInput
-        If a file cannot be read, or what was tried, or with what other settings, is not as in the
-        configuration.
-    """
+    """Read sweeps of all keys; BadInput if they were not made with this configuration."""
     trials = []
     for path in paths:
         sweep = read_json(path)

@@ -38,12 +38,7 @@ class Experiment:
         return " ".join([self.protocol, *options])
 
     def run(self, runner: Runner) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-        """Run the experiment and check its result.
-
-        Parameters
-        ----------
-        runner : callable
-            Takes protocol and options, returns the result's keys and values.
+        """Run the experiment by a function of protocol and options; name it in an error.
 
         Returns
         -------
@@ -53,11 +48,6 @@ class Experiment:
             ``demand`` (the largest allowed), ``relative``, ``unit``, ``met``.
         result : dict
             What the protocol returned.
-
-        Raises
-        ------
-        SlipstitchError
-            If the protocol fails; the message names the experiment.
         """
         try:
             result = dict(runner(self.protocol, self.options))

@@ -5,7 +5,7 @@ Theory is black, what was measured coloured.
 
 import math
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -23,9 +23,12 @@ from slipstitch.config.load import calibrated_settings
 from slipstitch.config.simulation import BASE, KEYS
 from slipstitch.physics.experiments.plane import incline_theory
 from slipstitch.physics.experiments.strip import LENGTH_M, strip_state, strip_state_at_foot_angle
-from slipstitch.physics.experiments.strip_drag import flexible_strip_drag, steady_strip_drag
+from slipstitch.physics.experiments.strip_drag import (
+    HOLDER_M,
+    flexible_strip_drag,
+    steady_strip_drag,
+)
 
-HOLDER_M = 0.15  # height of the dragged strip's holder, a hinge
 FABRICS = ((MEASURED, "o"), (BLUE, "D"))
 # Settings as words, and the unit of their values.
 NAMES = {
@@ -56,8 +59,6 @@ def draw_pictures(
         PNG or SVG files by name: ``checks``, ``strip``, ``settings``.
     calibration : mapping
         What `calibration.calibrate_to_file` returns, or its ``strip`` alone.
-    record : mapping
-        Its provenance.
     failed : bool
         Whether a requirement is not met: then ``.failed`` stands before the suffix.
     """
@@ -75,13 +76,7 @@ def draw_pictures(
 
 
 def draw_again(path: str | os.PathLike, pictures: Mapping[str, str | os.PathLike]) -> None:
-    """Draw the pictures of a calibration from its file.
-
-    Raises
-    ------
-    BadInput
-        If it cannot be read.
-    """
+    """Draw the pictures of a calibration from its file."""
     started = start_clock()
     calibrated_settings(path)  # says what is wrong with it
     record = provenance_record("calibrate.pictures", inputs=[path], started=started)
@@ -95,22 +90,18 @@ def draw_again(path: str | os.PathLike, pictures: Mapping[str, str | os.PathLike
 def calibration_figure(calibration: Mapping[str, Any]) -> Figure:
     """Draw the checks of a calibration against theory, a panel each; some may not have been run."""
     figure = new_figure(9.6, 7.0)
-    panels: tuple[tuple[str, Callable[..., None], dict[str, str]], ...] = (
-        ("incline", _incline, {}),
-        ("flat-drag", _flat_drag, {}),
-        ("strip-drag", _strip_drag, {
-            "quantity": "pull_over_w_m", "title": "Strip drag: pull",
-            "ylabel": "pull / weight per length, mm",
-        }),
-        ("strip-drag", _strip_drag, {
-            "quantity": "holder_ahead_of_tail_m", "title": "Strip drag: tail",
-            "ylabel": "end of tail to holder, mm",
-        }),
-    )  # fmt: skip
-    for axes, (protocol, draw, options) in zip(figure.subplots(2, 2).flat, panels, strict=True):
+    pull = "pull_over_w_m", "Strip drag: pull", "pull / weight per length, mm"
+    tail = "holder_ahead_of_tail_m", "Strip drag: tail", "end of tail to holder, mm"
+    panels: Any = (
+        ("incline", _incline),
+        ("flat-drag", _flat_drag),
+        ("strip-drag", _strip_drag, *pull),
+        ("strip-drag", _strip_drag, *tail),
+    )
+    for axes, (protocol, draw, *words) in zip(figure.subplots(2, 2).flat, panels, strict=True):
         runs = [run for run in calibration["experiments"] if run["protocol"] == protocol]
         if runs:
-            draw(axes, runs, **options)
+            draw(axes, runs, *words)
         else:
             axes.set_axis_off()
             axes.text(0.5, 0.5, "not run", ha="center", va="center", color=FAINT)

@@ -1,14 +1,12 @@
 """The strip experiment with one numerical setting changed at a time."""
 
 import os
-import sys
 import time
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from tqdm import tqdm
-
 from slipstitch.base.errors import NotConverged
+from slipstitch.base.progress import note, progress
 from slipstitch.base.provenance import provenance_record, start_clock, write_json
 from slipstitch.config.simulation import BASE, KEYS, CalibrateSettings, SimulationSettings
 from slipstitch.physics import GRAVITY_M_S2
@@ -48,17 +46,9 @@ def verified_settings(simulation: SimulationSettings) -> dict[str, Any]:
 def variations(
     key: str, settings: CalibrateSettings, simulation: SimulationSettings
 ) -> list[dict[str, Any]]:
-    """All settings to be tried for one key, others as configured.
+    """All settings to be tried, values of `KEYS`: others than one key as configured.
 
-    Parameters
-    ----------
-    key : str
-        One of `KEYS`, or ``base`` for the configured settings themselves.
-
-    Returns
-    -------
-    list of dict
-        Complete values of `KEYS`.
+    The key ``base`` stands for the configured settings themselves.
     """
     base = {one: getattr(simulation, one, settings.strip_vertices) for one in KEYS}
     if key == BASE:
@@ -77,30 +67,6 @@ def sweep_inputs(
         "young_moduli_Pa": STRIP_YOUNG_MODULI_PA,
         "simulation": verified_settings(simulation),
     }
-
-
-def run_settings(
-    tried: Mapping[str, Any],
-    settings: CalibrateSettings,
-    simulation: SimulationSettings,
-    run_protocol: RunProtocol,
-) -> dict[str, Any]:
-    """Push the strip at every friction coefficient and of every fabric, with given settings.
-
-    Returns
-    -------
-    dict
-        ``settings`` and ``runs``: per fabric and friction coefficient what came out, what theory
-        says, the Newton iterations and CPU seconds it took.
-    """
-    numerical = {key: value for key, value in tried.items() if key != "vertices"}
-    with_them = simulation.model_copy(update=numerical)
-    runs = [
-        _run(modulus, friction, int(tried["vertices"]), with_them, run_protocol)
-        for modulus in STRIP_YOUNG_MODULI_PA
-        for friction in settings.strip_frictions
-    ]
-    return {"settings": dict(tried), "runs": runs}
 
 
 def _run(modulus, friction, vertices, simulation, run_protocol) -> dict[str, Any]:
@@ -129,14 +95,27 @@ def _run(modulus, friction, vertices, simulation, run_protocol) -> dict[str, Any
 def sweep(
     key: str, settings: CalibrateSettings, simulation: SimulationSettings, run_protocol: RunProtocol
 ) -> list[dict[str, Any]]:
-    """Run all settings of one key (see `variations`); one line each on standard error."""
-    tried = variations(key, settings, simulation)
+    """Push the strip with all settings of one key (see `variations`); one line each on stderr.
+
+    Returns
+    -------
+    list of dict
+        ``key``, ``settings`` and ``runs``: per fabric and friction coefficient what came out, what
+        theory says, the Newton iterations and CPU seconds it took.
+    """
     results = []
-    for setting in tqdm(tried, unit="setting", disable=not sys.stderr.isatty()):
-        results.append({"key": key} | run_settings(setting, settings, simulation, run_protocol))
-        cpu_s = sum(run["cpu_s"] for run in results[-1]["runs"])
-        shown = "as configured" if key == BASE else f"{key} = {setting[key]:g}"
-        print(f"strip, {shown}: {cpu_s:.1f} CPU s", file=sys.stderr, flush=True)
+    for tried in progress(variations(key, settings, simulation), unit="setting"):
+        numerical = {name: value for name, value in tried.items() if name != "vertices"}
+        with_them = simulation.model_copy(update=numerical)
+        runs = [
+            _run(modulus, friction, int(tried["vertices"]), with_them, run_protocol)
+            for modulus in STRIP_YOUNG_MODULI_PA
+            for friction in settings.strip_frictions
+        ]
+        results.append({"key": key, "settings": tried, "runs": runs})
+        cpu_s = sum(run["cpu_s"] for run in runs)
+        shown = "as configured" if key == BASE else f"{key} = {tried[key]:g}"
+        note(f"strip, {shown}: {cpu_s:.1f} CPU s")
     return results
 
 
