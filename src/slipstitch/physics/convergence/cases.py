@@ -59,13 +59,7 @@ def cases(config: Config) -> list[StudyCase]:
 def case_settings(
     case: StudyCase, config: Config, chosen: SimulationSettings
 ) -> SimulationSettings:
-    """Numerical settings of one run.
-
-    Parameters
-    ----------
-    chosen : SimulationSettings
-        Those of the simulations, calibrated.
-    """
+    """Numerical settings of one run, from those chosen for the simulations."""
     study = config.convergence
     step_s = chosen.time_step_s / 2**case.halvings
     implicit = {"bending_stiffness_at": "end"} if case.halvings else {}
@@ -88,24 +82,9 @@ def case_settings(
 def simulate_case(
     config: Config, name: str, out: str | os.PathLike, calibration: str | os.PathLike | None
 ) -> tuple[Trajectory, float]:
-    """Simulate one case and write it; the run, and its CPU time in s.
+    """Simulate the case with an id and write it; the run, and its CPU time in s.
 
-    Parameters
-    ----------
-    config : Config
-    name : str
-        The case's id.
-    out : path
-        Parquet file, one row per frame.
-    calibration : path, optional
-        The file that settings were taken from, for the record.
-
-    Raises
-    ------
-    BadInput
-        If the study has no such case.
-    NotConverged
-        If it cannot be solved.
+    The record names the calibration that settings were taken from.
     """
     from slipstitch.physics.simulation.drop_and_drag import DropAndDrag, simulate_drop_and_drag
     from slipstitch.physics.simulation.trajectory import write_trajectory

@@ -1,4 +1,4 @@
-"""What one of them differs by from a finer one."""
+"""Comparison of runs of drop-and-drag with finer ones: distances, events, verdicts."""
 
 from __future__ import annotations
 
@@ -47,22 +47,22 @@ STEADY_S = 1.0
 
 def common_vertices(side: int, sides: tuple[int, ...]) -> np.ndarray:
     """Numbers of the vertices of one mesh that lie at places common to several, row by row."""
-    intervals = math.gcd(*(side - 1 for side in sides))
-    line = np.arange(0, side, (side - 1) // intervals)
+    return _every(side, (side - 1) // math.gcd(*(side - 1 for side in sides)))
+
+
+def _every(side: int, step: int) -> np.ndarray:
+    """Numbers of the vertices in every so many rows and columns of a mesh."""
+    line = np.arange(0, side, step)
     return (line[:, None] * side + line).ravel()
 
 
 def events(run: Trajectory) -> dict[str, float | None]:
     """Times of the fast events, in s; None for one that does not happen.
 
-    Returns
-    -------
-    dict
-        ``landing``: the lower edge comes to within 1 mm of the floor. ``slip``: from when on it
-        is 2 mm or more from where it lay as the stroke began. ``flip``: the cloth rolls over, its
-        vertices moving relative to the clamps at 20 mm/s or more on average, twice the speed of
-        the stage; the moment when that is fastest. Those of a second stroke are ``slip 2``,
-        ``flip 2``, and so on.
+    ``landing``: the lower edge comes to within 1 mm of the floor. ``slip``: from when on it is 2 mm
+    or more from where it lay as the stroke began. ``flip``: the cloth rolls over, its vertices
+    moving relative to the clamps at 20 mm/s or more on average, twice the speed of the stage; the
+    moment when that is fastest. Those of a second stroke are ``slip 2``, ``flip 2``, and so on.
     """
     time_s = run.time_s
     found: dict[str, float | None] = {"landing": _first(time_s, 1e-3 - _lower_edge_m(run)[:, 2])}
@@ -71,14 +71,23 @@ def events(run: Trajectory) -> dict[str, float | None]:
         if len(time_s[part]) < 2:
             continue
         found[f"slip{number}"] = _for_good(time_s[part], _dragged_m(run, part) - SLIP_M)
-        places = run.positions_m[part].astype(float)
-        places[..., 0] -= run.stage_x_m[part, None]
-        travelled = np.linalg.norm(np.diff(places, axis=0), axis=2).mean(axis=1)
-        speed_m_s = travelled / np.diff(time_s[part])
+        speed_m_s = _speeds_m_s(_from_the_clamps(run)[part], time_s[part])
         fastest = int(speed_m_s.argmax())
         if speed_m_s[fastest] >= FLIP_SPEED_M_S:
             found[f"flip{number}"] = float(time_s[part][fastest : fastest + 2].mean())
     return found
+
+
+def _speeds_m_s(places_m: np.ndarray, time_s: np.ndarray) -> np.ndarray:
+    """Mean over the vertices, from each frame to the next."""
+    return np.linalg.norm(np.diff(places_m, axis=0), axis=2).mean(axis=1) / np.diff(time_s)
+
+
+def _from_the_clamps(run: Trajectory, vertices: np.ndarray | slice = slice(None)) -> np.ndarray:
+    """Places of vertices relative to the clamps, shape (T, N, 3)."""
+    places_m = run.positions_m[:, vertices].astype(float)
+    places_m[..., 0] -= run.stage_x_m[:, None]
+    return places_m
 
 
 def _strokes(run: Trajectory) -> Iterator[tuple[str, slice]]:
@@ -141,14 +150,9 @@ def _first(time_s: np.ndarray, value: np.ndarray) -> float | None:
 
 
 def compare(run: Trajectory, finest: Trajectory, sides: tuple[int, ...]) -> dict[str, Any]:
-    """Distance between two runs, vertex by vertex, at the same times and at shifted ones.
+    """Distance between two runs with the same frames, vertex by vertex, and at shifted times.
 
-    Parameters
-    ----------
-    run, finest : Trajectory
-        With the same frames; meshes from ``sides``.
-    sides : tuple of int
-        Vertices a side of all meshes that are to be compared at the same places of the cloth.
+    ``sides`` are the vertices a side of all meshes that are to be compared at the same places.
 
     Returns
     -------
@@ -161,20 +165,17 @@ def compare(run: Trajectory, finest: Trajectory, sides: tuple[int, ...]) -> dict
         later that is, at the moment of the largest mean; ``steady_largest_m``: the largest mean of
         moments at which both runs are steadily dragged (None: there are none); ``events``: times
         in both and their difference; ``curve``: thinned out.
-
-    Raises
-    ------
-    BadInput
-        The runs have different frames.
     """
     if len(run.time_s) != len(finest.time_s) or np.abs(run.time_s - finest.time_s).max() > 1e-9:
         raise BadInput("the runs have different frames; regenerate them")
-    first, second = (_places(trajectory, sides) for trajectory in (run, finest))
+    first, second = (
+        _from_the_clamps(one, common_vertices(math.isqrt(one.positions_m.shape[1]), sides))
+        for one in (run, finest)
+    )
     distance = np.linalg.norm(first - second, axis=2)
     mean, worst = distance.mean(axis=1), distance.max(axis=1)
     side = math.isqrt(first.shape[1])
-    line = np.arange(0, side, -(-(side - 1) // (SHIFTED_PLACES - 1)))
-    few = (line[:, None] * side + line).ravel()
+    few = _every(side, -(-(side - 1) // (SHIFTED_PLACES - 1)))
     shifted, shift_s, bend = _least_mean_distance(first[:, few], second[:, few], run.time_s)
     shifted = np.minimum(shifted, mean)
     there, reference, slips = events(run), events(finest), _slip_shifts(run, finest)
@@ -205,20 +206,11 @@ def compare(run: Trajectory, finest: Trajectory, sides: tuple[int, ...]) -> dict
     }
 
 
-def _places(run: Trajectory, sides: tuple[int, ...]) -> np.ndarray:
-    """Common vertices relative to the clamps, shape (T, N, 3)."""
-    side = math.isqrt(run.positions_m.shape[1])
-    places = run.positions_m[:, common_vertices(side, sides)].astype(float)
-    places[..., 0] -= run.stage_x_m[:, None]
-    return places
-
-
 def _is_steady(places_m: np.ndarray, time_s: np.ndarray) -> np.ndarray:
     """Whether the cloth hardly moves relative to the clamps for a second before and after."""
     if len(time_s) < 2:
         return np.zeros(len(time_s), bool)
-    moved_m = np.linalg.norm(np.diff(places_m, axis=0), axis=2).mean(axis=1)
-    fast = np.append(moved_m / np.diff(time_s) > STEADY_SPEED_M_S, False)
+    fast = np.append(_speeds_m_s(places_m, time_s) > STEADY_SPEED_M_S, False)
     reach = round(STEADY_S / (time_s[1] - time_s[0]))
     return ~maximum_filter1d(fast, 2 * reach + 1)
 
@@ -262,12 +254,7 @@ def _for_good(time_s: np.ndarray, value: np.ndarray) -> float | None:
 
 
 def comparisons(config: Config, runs: Mapping[str, Trajectory]) -> list[dict[str, Any]]:
-    """Every run against the finest of its kind.
-
-    Parameters
-    ----------
-    runs : mapping
-        Trajectories by id of the case; those at the chosen settings, and others that `cases` lists.
+    """Every run, by id of its case, against the finest of its kind.
 
     Returns
     -------
@@ -275,13 +262,11 @@ def comparisons(config: Config, runs: Mapping[str, Trajectory]) -> list[dict[str
         `compare`'s, with ``material``, ``friction``, ``kind`` (time step or mesh),
         ``time_step_s``, ``vertices_per_side`` and ``finest`` (the id compared with).
     """
-    study, found = config.convergence, []
-    for chosen in cases(config):
-        if chosen.vertices_per_side != study.vertices_per_side[0] or chosen.halvings:
+    here, found = [case for case in cases(config) if case.id in runs], []
+    for chosen in here:
+        if chosen.vertices_per_side != config.convergence.vertices_per_side[0] or chosen.halvings:
             continue
-        if chosen.id not in runs:
-            continue
-        family = [case for case in cases(config) if case.pair == chosen.pair and case.id in runs]
+        family = [case for case in here if case.pair == chosen.pair]
         steps = [case for case in family if case.vertices_per_side == chosen.vertices_per_side]
         meshes = [case for case in family if case.halvings == 0]
         for kind, members in (("time step", steps), ("mesh", meshes)):
@@ -354,13 +339,7 @@ def _verdict(found: Mapping[str, Any]) -> str:
 
 
 def describe(config: Config, runs: Mapping[str, Trajectory]) -> dict[str, Any]:
-    """The study as JSON can hold it: settings, runs and their cost, what is missing, comparisons.
-
-    Raises
-    ------
-    BadInput
-        No run is there, or runs do not belong together.
-    """
+    """The study as JSON can hold it: settings, runs and their cost, what misses, comparisons."""
     compared = comparisons(config, runs)
     here = [case for case in cases(config) if case.id in runs]
     if not here:

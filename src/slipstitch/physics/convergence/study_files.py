@@ -25,7 +25,7 @@ from slipstitch.base.provenance import (
     start_clock,
     write_json,
 )
-from slipstitch.base.provenance.files import SIDECAR_SUFFIX
+from slipstitch.base.provenance.files import SIDECAR_SUFFIX, record_beside
 from slipstitch.config import Config
 from slipstitch.physics.convergence.cases import cases
 from slipstitch.physics.convergence.study import describe
@@ -66,16 +66,8 @@ def compare_cases(
 def publish(study_path: str | os.PathLike, folder: str | os.PathLike) -> int:
     """Copy a finished study to where it is kept, its summary to where simulations look it up.
 
-    Returns
-    -------
-    int
-        Cases of the summary.
-
-    Raises
-    ------
-    BadInput
-        If study, picture or a record of their origin is missing or damaged, or runs of the study
-        are missing. Nothing is written then.
+    Returns the number of cases. Nothing is written if study, picture or a record of their origin is
+    missing or damaged, or runs of the study are missing.
     """
     source = Path(study_path)
     files = [*_recorded(source), *_recorded(source.with_suffix(".png"))]
@@ -109,21 +101,14 @@ def _recorded(file: Path) -> tuple[Path, Path]:
     for needed in (file, side):
         if not needed.is_file():
             raise BadInput(f"{needed}: no such file; {_AGAIN}")
-    record = read_json(side)
-    if not isinstance(record, dict) or record.get("sha256") != file_digest(file):
+    if (record_beside(file) or {}).get("sha256") != file_digest(file):
         raise Damaged(file, "its content does not match its record")
     return file, side
 
 
 @styled
 def convergence_figure(study: Mapping[str, Any]) -> Figure:
-    """Draw a study: a row per kind of refinement, a panel per fabric, a colour per friction.
-
-    Parameters
-    ----------
-    study : mapping
-        What `slipstitch.physics.convergence.study.describe` returned.
-    """
+    """Draw what `study.describe` returned: kinds of refinement, a panel per fabric."""
     compared = study["comparisons"]
     materials = list(dict.fromkeys(case["material"] for case in compared))
     columns = min(len(materials), COLUMNS_MAX)
@@ -160,14 +145,15 @@ def convergence_figure(study: Mapping[str, Any]) -> Figure:
         Line2D([], [], color=colour, label=f"µ = {friction:g}")
         for colour, friction in zip(colours, frictions, strict=True)
     ]
-    styles = []
-    for style, width, name in (
-        ("-", 1.6, "chosen settings"),
-        ("-", 0.7, "one refinement"),
-        ("--", 0.9, "chosen, time shift allowed"),
-        (":", 0.8, "counts as converged"),
-    ):
-        styles.append(Line2D([], [], color=SOFT, ls=style, lw=width, label=name))
+    styles = [
+        Line2D([], [], color=SOFT, ls=style, lw=width, label=name)
+        for style, width, name in (
+            ("-", 1.6, "chosen settings"),
+            ("-", 0.7, "one refinement"),
+            ("--", 0.9, "chosen, time shift allowed"),
+            (":", 0.8, "counts as converged"),
+        )
+    ]
     look = {"ncols": 2, "frameon": False, "fontsize": 7.5}
     figure.legend(handles=a_few(coefficients), loc="outside upper left", **look)
     figure.legend(handles=styles, loc="outside upper right", **look)
