@@ -1,4 +1,4 @@
-"""slipstitch simulate and slipstitch protocol at the command line."""
+"""slipstitch simulate at the command line."""
 
 import json
 import os
@@ -18,14 +18,12 @@ from slipstitch.config.load import read_mapping, resolve_config
 from slipstitch.design.grid import simulations
 from slipstitch.physics.simulation.trajectory import read_trajectory
 
+RUN = "--material gray-interlock --friction 0.3"
 TINY = ["--set", "vertices_per_side=9", "--set", "frames=3", "--set", "settle_s=0.2"]
 
 
 def run(*words) -> int:
-    try:
-        return main([str(word) for word in words]) or 0
-    except SystemExit as end:
-        return int(end.code or 0)
+    return main([str(word) for word in words])
 
 
 def simulation_ids(config_file) -> list[str]:
@@ -36,21 +34,17 @@ def simulation_ids(config_file) -> list[str]:
 @pytest.fixture(scope="module")
 def trajectory_file(tmp_path_factory):
     path = tmp_path_factory.mktemp("simulate") / "x.parquet"
-    words = ["--material", "gray-interlock", "--friction", "0.3", "--seed", "0"]
-    assert run("simulate", *words, *TINY, "--out", path) == 0
+    assert run("simulate", *RUN.split(), *TINY, "--out", path) == 0
     return path
 
 
-def test_one_row_a_frame_with_the_documented_columns(trajectory_file):
+def test_one_row_a_frame_with_the_documented_columns_and_metadata(trajectory_file):
     table = pq.read_table(trajectory_file)
     assert table.num_rows == 3
     assert table.schema.field("differences_um").type == pa.list_(pa.int32(), 3 * 81)
     for column in ("frame", "time_s", "stage_x_m", "stage_z_m", "newton_iterations", "residual"):
         assert column in table.column_names
     np.testing.assert_allclose(table["time_s"].to_numpy(), np.arange(3) / 2.4)
-
-
-def test_the_metadata_holds_mesh_settings_and_provenance(trajectory_file):
     metadata = read_metadata(trajectory_file)
     assert metadata["mesh"]["faces"] == 128 and metadata["pinned"] == [0, 8]
     assert metadata["settings"]["vertices_per_side"] == 9
@@ -61,24 +55,21 @@ def test_the_metadata_holds_mesh_settings_and_provenance(trajectory_file):
 
 def test_the_seed_at_the_command_line_reaches_the_bench(trajectory_file, tmp_path):
     other = tmp_path / "other.parquet"
-    words = ["--material", "gray-interlock", "--friction", "0.3", "--seed", "1"]
-    assert run("simulate", *words, *TINY, "--out", other) == 0
-    assert (
-        read_trajectory(other).metadata["perturbation"]
-        != (read_trajectory(trajectory_file).metadata["perturbation"])
-    )
+    assert run("simulate", *RUN.split(), "--seed", 1, *TINY, "--out", other) == 0
+    one, two = (read_trajectory(file).metadata for file in (trajectory_file, other))
+    assert one["perturbation"] != two["perturbation"]
 
 
 @pytest.mark.slow
 def test_the_environment_s_threads_do_not_change_a_bit(tmp_path):
     # With 25 vertices a side BLAS splits its sums over two threads, if it is let.
-    words = ["--material", "gray-interlock", "--friction", "0.3", "--seed", "0"]
-    size = ["--set", "vertices_per_side=25", "--set", "frames=6", "--set", "settle_s=0.2"]
+    size = "--set vertices_per_side=25 --set frames=6 --set settle_s=0.2"
+    words = [sys.executable, "-m", "slipstitch", "simulate", *RUN.split(), *size.split()]
     places = []
     for threads in ("1", "2"):
         out = tmp_path / f"{threads}.parquet"
         subprocess.run(
-            [sys.executable, "-m", "slipstitch", "simulate", *words, *size, "--out", str(out)],
+            [*words, "--out", str(out)],
             env=os.environ | {"OMP_NUM_THREADS": threads, "OPENBLAS_NUM_THREADS": threads},
             check=True,
             capture_output=True,
@@ -87,7 +78,6 @@ def test_the_environment_s_threads_do_not_change_a_bit(tmp_path):
     np.testing.assert_array_equal(*places)
 
 
-RUN = "--material gray-interlock --friction 0.3"
 REFUSED = {
     "--material silk --friction 0.3": "unknown material 'silk'",
     "--material gray-interlock --friction -1": "--friction -1: must lie between 0 and 10",
@@ -175,8 +165,8 @@ def test_a_damaged_calibration_is_named_with_the_command_that_makes_it(
     broken = Path("results/calibration.json")
     broken.parent.mkdir()
     broken.write_text("{")
-    words = ["--material", "gray-interlock", "--friction", "0.3", "--calibration", broken]
-    assert run("simulate", *words, "--out", tmp_path / "x.parquet") == 2
+    words = ["--calibration", broken, "--out", tmp_path / "x.parquet"]
+    assert run("simulate", *RUN.split(), *words) == 2
     assert f"snakemake --cores 2 all --forcerun {broken}" in capfd.readouterr().err
 
 
@@ -189,34 +179,19 @@ def test_a_calibration_of_settings_leaves_the_configured_law_alone(tmp_path):
     config.write_text(json.dumps({"simulation": small, "sample": {"frames": 2}}))
     calibration.write_text(json.dumps({"settings": {"time_step_s": 0.05, "model": None}}))
     words = ["--config", config, "--calibration", calibration, "--out", tmp_path / "x.parquet"]
-    assert run("simulate", "--material", "gray-interlock", "--friction", "0.3", *words) == 0
+    assert run("simulate", *RUN.split(), *words) == 0
     told = read_trajectory(tmp_path / "x.parquet").metadata
     assert told["settings"]["time_step_s"] == 0.05
     assert told["extended_model"]["law"]["mechanisms"] == law["mechanisms"]
-
-
-def test_a_protocol_writes_measured_beside_theory_and_prints_only_the_result(tmp_path, capfd):
-    out = tmp_path / "flat.json"
-    assert run("protocol", "flat-drag", "--friction", "0.4", "--out", out) == 0
-    result = json.loads(out.read_text())
-    assert set(result) == {"pull_over_weight", "theory_pull_over_weight", "passed", "demands"}
-    assert json.loads(capfd.readouterr().out) == result
-
-
-def test_an_unknown_protocol_names_those_that_exist(tmp_path, capfd):
-    assert run("protocol", "slope", "--out", tmp_path / "x.json") == 2
-    assert "is not one of 'incline', 'tilt', 'flat-drag'" in capfd.readouterr().err
 
 
 def test_a_run_that_cannot_be_solved_fails_and_keeps_its_state_to_look_into(
     tmp_path, capfd, monkeypatch
 ):
     monkeypatch.setattr("slipstitch.physics.cloth.solver.HALVINGS_MAX", 0)
-    words = ["--material", "gray-interlock", "--friction", "0.3"]
-    for pair in ("vertices_per_side=5", "frames=2", "newton_iterations_max=1"):
-        words += ["--set", pair]
+    words = "--set vertices_per_side=5 --set frames=2 --set newton_iterations_max=1"
     out = tmp_path / "x.parquet"
-    assert run("simulate", *words, "--out", out) == 1
+    assert run("simulate", *RUN.split(), *words.split(), "--out", out) == 1
     assert not out.exists()
     state = np.load(tmp_path / "x.failed.npz")
     assert state["positions_m"].shape == state["last_residual_N"].shape == (25, 3)

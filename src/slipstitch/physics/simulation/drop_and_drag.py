@@ -34,26 +34,14 @@ LANDING_S = 0.1  # after the first touch, in which the cloth buckles
 
 @dataclass(frozen=True)
 class BenchPerturbation:
-    """Quantities that vary between replicates on a bench.
+    """Quantities that vary between replicates on a bench."""
 
-    Attributes
-    ----------
-    yaw_deg : float
-        Rotation of the clamps about the vertical.
-    height_m : float
-        Added to the clamps' height.
-    density_factor, stretching_factor, bending_factor : float
-        On the fabric's parameters.
-    natural_curl_per_m : float
-        Signed: positive makes the lower edge lean towards -x, against the first stroke.
-    """
-
-    yaw_deg: float
-    height_m: float
-    density_factor: float
+    yaw_deg: float  # rotation of the clamps about the vertical
+    height_m: float  # added to the clamps' height
+    density_factor: float  # on the fabric's parameters
     stretching_factor: float
     bending_factor: float
-    natural_curl_per_m: float
+    natural_curl_per_m: float  # positive: the lower edge leans to -x, against the first stroke
 
 
 def draw_perturbation(
@@ -62,40 +50,23 @@ def draw_perturbation(
     """Draw the perturbation of one replicate; the same seed gives the same numbers."""
     random = np.random.default_rng(seed)
     spread = 0.0 if replicate < settings.ideal_replicates else 1.0
-    factors = np.exp(spread * settings.fabric_sd_rel * random.standard_normal(3))
-    sides = {"drawn": [-1.0, 1.0], "same": [1.0], "alternating": [-1.0 if replicate % 2 else 1.0]}[
-        settings.curl_side
-    ]
-    return BenchPerturbation(
-        yaw_deg=float(spread * settings.yaw_sd_deg * random.standard_normal()),
-        height_m=float(spread * settings.height_sd_m * random.standard_normal()),
-        density_factor=float(factors[0]),
-        stretching_factor=float(factors[1]),
-        bending_factor=float(factors[2]),
-        natural_curl_per_m=float(settings.natural_curl_per_m * random.choice(sides)),
-    )
+    factors = np.exp(spread * settings.fabric_sd_rel * random.standard_normal(3)).tolist()
+    yaw_deg = float(spread * settings.yaw_sd_deg * random.standard_normal())
+    height_m = float(spread * settings.height_sd_m * random.standard_normal())
+    sides = {"drawn": [-1.0, 1.0], "same": [1.0], "alternating": [-1.0 if replicate % 2 else 1.0]}
+    curl_per_m = float(settings.natural_curl_per_m * random.choice(sides[settings.curl_side]))
+    return BenchPerturbation(yaw_deg, height_m, *factors, curl_per_m)
 
 
 @dataclass(frozen=True)
 class DropAndDrag:
-    """One run.
+    """One run."""
 
-    Attributes
-    ----------
-    material : str
-        A fabric of the catalogue.
-    friction : float
-        Friction coefficient between cloth and floor, at least 0.
-    seed : int
-        Of the bench's perturbation; the run itself draws nothing.
-    replicate : int
-        The first may be of an ideal bench, and the curl may change sides from one to the next
-        (`SimulationSettings.ideal_replicates`, ``curl_side``).
-    """
-
-    material: str
-    friction: float
-    seed: int
+    material: str  # a fabric of the catalogue
+    friction: float  # coefficient between cloth and floor
+    seed: int  # of the bench's perturbation; the run itself draws nothing
+    # The first may be of an ideal bench, and the curl may change sides from one to the next
+    # (`SimulationSettings.ideal_replicates`, ``curl_side``).
     replicate: int = 0
 
     def catalogue_entries(self) -> dict[str, dict[str, str | None]]:
@@ -121,13 +92,6 @@ def simulate_drop_and_drag(
     columns : dict
         ``newton_iterations`` (T,) and ``residual`` (T,) since the frame before: the sum, and
         the largest relative out-of-balance force of an accepted step.
-
-    Raises
-    ------
-    BadInput
-        An unknown material or device, or a friction coefficient that is negative or not finite.
-    NotConverged
-        A step could not be solved.
     """
     path = path or StagePath(**dict(settings.stage))
     with progress(unit="frame", total=settings.frames) as bar:
@@ -300,12 +264,7 @@ class _Bench:
     def _march(self, first: int, last: int) -> Iterator[tuple[int, int, np.ndarray]]:
         """Advance from one number of time steps to another, by several at once where it is steady.
 
-        Yields
-        ------
-        begun, ended : int
-            Numbers of time steps before and after.
-        start_m : ndarray, shape (V, 3)
-            Positions before.
+        Yields the numbers of time steps before and after, and the positions (V, 3) before.
         """
         solver, step_s = self.solver, self.settings.step_used_s
         at_once = self.settings.steps_at_once

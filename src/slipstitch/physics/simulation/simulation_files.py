@@ -47,20 +47,10 @@ _OF_THE_RUN = ("material", "friction", "seed")
 
 
 def run_of_the_grid(config: Config, name: str) -> tuple[DropAndDrag, dict[str, str]]:
-    """The run with an id, and what its file says about its place in the grid.
-
-    Raises
-    ------
-    BadInput
-        If the grid has no simulation of such a name.
-    """
+    """The run with an id, and what its file says about its place in the grid."""
     one = find_simulation(config, name)
-    ids = {
-        "simulation": one.id,
-        "material_id": one.material_id,
-        "friction_id": one.friction_id,
-        "replicate_id": one.replicate_id,
-    }
+    ids = {key: getattr(one, key) for key in ("material_id", "friction_id", "replicate_id")}
+    ids = {"simulation": one.id, **ids}
     return DropAndDrag(one.material, one.friction, one.seed, one.replicate), ids
 
 
@@ -80,31 +70,18 @@ def simulate_to_file(
 
     Parameters
     ----------
-    config, run
     ids : dict
         What `run_of_the_grid` says of the run, or an empty mapping.
-    path : path
-        Parquet file.
-    device : str, optional
-        Instead of the configured one.
+    device, handed_out : optional
+        Instead of the configured ones.
     calibration : path, optional
         The file that settings were taken from, for the record.
-    handed_out : path, optional
-        Folder or release to take the run from if it is there; the configured one by default.
 
     Returns
     -------
     trajectory : Trajectory
     record : dict
         Its provenance; under ``handed_out`` where it was taken from, if it was.
-
-    Raises
-    ------
-    BadInput
-        See `slipstitch.physics.simulation.drop_and_drag.simulate_drop_and_drag` and
-        `slipstitch.physics.simulation.handed_out.take_handed_out`.
-    NotConverged
-        A step could not be solved.
     """
     started = start_clock()
     settings = config.simulation
@@ -146,22 +123,16 @@ def _with_state_saved(error: NotConverged, out: str | os.PathLike) -> NotConverg
 def take_handed_out(
     folder: str | os.PathLike, run: DropAndDrag, ids: dict[str, str], settings: SimulationSettings
 ) -> tuple[Trajectory, dict[str, np.ndarray], dict[str, Any]] | None:
-    """Read a run from a folder of simulations or from a release.
+    """Read a run from a folder of simulations or from a release; None if no file claims to be it.
+
+    BadInput if two files do, or the one that does is damaged or of other settings.
 
     Returns
     -------
     trajectory, columns
-        As `slipstitch.physics.simulation.drop_and_drag.simulate_drop_and_drag` returns them.
+        As `drop_and_drag.simulate_drop_and_drag` returns them.
     origin : dict
         For the record: ``file``, its ``sha256``, and its own ``provenance``.
-
-    None instead where no file claims to be the run.
-
-    Raises
-    ------
-    BadInput
-        If there is no such folder, or it has no simulations; if two files claim to be the run; if
-        the file that does is damaged, or of another fabric, coefficient, seed, mesh or settings.
     """
     claims = [
         path

@@ -37,34 +37,18 @@ FACES_A_VERTEX_MAX = 3  # of a triangle mesh; a file that claims more holds none
 
 @dataclass(frozen=True)
 class Trajectory:
-    """The cloth's motion, frame by frame.
+    """The motion of V vertices in T frames, in world coordinates: floor z = 0, track along x."""
 
-    Attributes
-    ----------
-    rest_positions_m : ndarray (V, 3)
-    uv : ndarray (V, 2)
-        Texture coordinates in [0, 1]; u along the upper edge, v from there to the lower edge.
-    faces : ndarray (F, 3) int
-    pinned : ndarray (P,) int
-        Vertices that the clamps hold.
-    frame : ndarray (T,) int
-    time_s, stage_x_m, stage_z_m : ndarray (T,)
-        Time, and place of the clamps: along the track, and above the floor.
-    positions_m : ndarray (T, V, 3) float32
-        World coordinates: z up, floor z = 0, x along the track.
-    metadata : dict
-        Whatever else the file's metadata holds (settings, material, friction, provenance ...).
-    """
-
-    rest_positions_m: np.ndarray
-    uv: np.ndarray
-    faces: np.ndarray
-    pinned: np.ndarray
+    rest_positions_m: np.ndarray  # (V, 3)
+    uv: np.ndarray  # (V, 2) in [0, 1]: along the upper edge, and from there to the lower edge
+    faces: np.ndarray  # (F, 3)
+    pinned: np.ndarray  # vertices that the clamps hold
     frame: np.ndarray
     time_s: np.ndarray
-    stage_x_m: np.ndarray
-    stage_z_m: np.ndarray
-    positions_m: np.ndarray
+    stage_x_m: np.ndarray  # place of the clamps along the track
+    stage_z_m: np.ndarray  # above the floor
+    positions_m: np.ndarray  # (T, V, 3), float32
+    # What else the file's metadata hold: settings, material, friction, provenance ...
     metadata: dict = field(default_factory=dict)
 
 
@@ -80,13 +64,7 @@ def _grid(vertices: int) -> tuple[int, int]:
 
 
 def encode(positions_m: np.ndarray) -> np.ndarray:
-    """Differences, int32 of shape (T, 3 V), of positions (T, V, 3) in m.
-
-    Raises
-    ------
-    ValueError
-        If a position is not finite or out of range.
-    """
+    """Differences, int32 of shape (T, 3 V), of positions (T, V, 3) in m."""
     if not np.abs(positions_m).max() <= FARTHEST_M:  # nor where it is not a number
         raise ValueError(f"positions_m: must be finite, within {FARTHEST_M:g} m of the origin")
     frames, vertices, _ = positions_m.shape
@@ -119,21 +97,9 @@ def write_trajectory(
     record: dict | None = None,
     **columns: np.ndarray,
 ) -> None:
-    """Write a trajectory as Parquet, atomically; positions are rounded to a micrometre.
+    """Write a trajectory as Parquet, atomically, with its provenance and further columns (T,).
 
-    Parameters
-    ----------
-    path : path
-    trajectory : Trajectory
-    record : dict, optional
-        Provenance, see `slipstitch.base.provenance.provenance_record`.
-    **columns : ndarray (T,)
-        Further columns, such as ``newton_iterations`` and ``residual``.
-
-    Raises
-    ------
-    ValueError
-        If a position is not finite or out of range.
+    Positions are rounded to a micrometre; ValueError if one is not finite or out of range.
     """
     arrays = {name: pa.array(getattr(trajectory, name), kind) for name, kind in _SCALARS.items()}
     arrays |= {name: pa.array(values) for name, values in columns.items()}
@@ -180,13 +146,7 @@ def _unpacked_mesh(packed: dict, vertices: int) -> dict:
 
 
 def read_trajectory(path: str | os.PathLike) -> Trajectory:
-    """Read what `write_trajectory` wrote; or without a mesh, which stands in ``mesh.json`` beside.
-
-    Raises
-    ------
-    BadInput
-        If the file is missing, damaged, or not a trajectory; or contains non-finite numbers.
-    """
+    """Read a trajectory; where its file holds no mesh, the mesh is in ``mesh.json`` beside."""
     return read_with_columns(path)[0]
 
 
@@ -236,13 +196,15 @@ def _mesh_of(path: str | os.PathLike, metadata: dict, vertices: int) -> dict:
 
 
 def _check(path, mesh: dict, vertices: int, positions: np.ndarray, values: dict) -> None:
-    shapes = {"rest_positions_m": (vertices, 3), "uv": (vertices, 2)}
-    for name, shape in shapes.items():
-        if mesh[name].shape != shape:
-            raise BadInput(f"{path}: {name} has shape {mesh[name].shape}; must be {shape}")
     faces = mesh["faces"]
-    if faces.ndim != 2 or faces.shape[1] != 3 or not len(faces):
-        raise BadInput(f"{path}: faces has shape {faces.shape}; must be triangles (F, 3)")
+    shapes = {
+        "rest_positions_m": (vertices, 3),
+        "uv": (vertices, 2),
+        "faces": (*faces.shape[:1], 3),
+    }
+    for name, shape in shapes.items():
+        if mesh[name].shape != shape or not faces.size:
+            raise BadInput(f"{path}: {name} has shape {mesh[name].shape}; must be {shape}")
     if faces.min() < 0 or faces.max() >= vertices:
         raise BadInput(f"{path}: faces refer to vertices outside 0 ... {vertices - 1}")
     if not len(positions):
