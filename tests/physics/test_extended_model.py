@@ -51,13 +51,10 @@ def test_what_moves_the_cloth_is_told_from_what_changes_readings(tmp_path):
             {"bench": {"tilt_along_rad": 1.0, "tilt_across_rad": -1.3}},
             "bench.tilt_along_rad 1 and tilt_across_rad -1.3: their sizes must add up to less",
         ),
-        ({"bench": {"tilt_along_rad": 2.0}}, "tilt_along_rad 2 and tilt_across_rad 0: their"),
         ({"friction_law": {"face": {"coefficient": 1, "mechanisms": {"glue": {}}}}}, "glue"),
         ({"discrepancy": [1, 2]}, "discrepancy: must have covariate, knots and factors"),
         ({"discrepancy": TABLE | {"covariate": "smell"}}, "'smell' is none of speed_mm_s, load"),
         ({"discrepancy": TABLE | {"knots": [10.0, 1.0]}}, "discrepancy: knots must increase"),
-        ({"discrepancy": TABLE | {"knots": [1.0]}}, "discrepancy: 1 knots; must be 2 to 16"),
-        ({"discrepancy": TABLE | {"factors": [1.0, -1.0]}}, "factors finite and above 0"),
         ({"discrepancy": TABLE | {"factors": ["much", 1.0]}}, "must be numbers"),
     ],
 )
@@ -71,36 +68,34 @@ def test_a_missing_file_is_named(tmp_path):
         read_extended_model(tmp_path / "none.yaml")
 
 
-def test_drop_and_drag_runs_with_the_model(tmp_path):
-    # Frames every 4 s: the cloth is down after 7 s and dragged from then on.
+def dragged(friction=0.3, model=None, **settings):
+    """A frame every 4 s: the cloth is down after 7 s and dragged from then on."""
     coarse = {"vertices_per_side": 9, "frames": 5, "frame_rate_hz": 0.25, "settle_s": 0.0}
     coarse["friction_tolerance"] = 1e-5  # equal laws agree as closely as steps are solved
-    runs = {}
-    for name, path in (("plain", None), ("extended", str(written(tmp_path)))):
-        settings = SimulationSettings(**coarse, model=path)
-        runs[name], columns = simulate_drop_and_drag(
-            DropAndDrag("11oz-black-denim", 0.3, 0), settings
-        )
-        assert columns["residual"].max() <= settings.friction_tolerance
-    assert runs["plain"].metadata["extended_model"] is None
-    assert runs["extended"].metadata["extended_model"]["mass_error"] == 0.1
-    tail = {name: run.positions_m[-1, -9:, 0].mean() for name, run in runs.items()}
-    assert tail["extended"] < tail["plain"] - 0.002  # adhesion holds the tail back
+    settings = SimulationSettings(**coarse, model=model and str(model), **settings)
+    run, columns = simulate_drop_and_drag(DropAndDrag("11oz-black-denim", friction, 0), settings)
+    assert columns["residual"].max() <= settings.friction_tolerance
+    return run
+
+
+def tail_m(run):
+    return run.positions_m[-1, -9:, 0].mean()
+
+
+def test_drop_and_drag_runs_with_the_model(tmp_path):
+    plain, extended = dragged(), dragged(model=written(tmp_path))
+    assert plain.metadata["extended_model"] is None
+    assert extended.metadata["extended_model"]["mass_error"] == 0.1
+    assert tail_m(extended) < tail_m(plain) - 0.002  # adhesion holds the tail back
 
 
 @pytest.mark.slow
 def test_the_warp_is_the_direction_that_the_configuration_names(tmp_path):
     """Dragged along v, with half as much again along the warp and half as much less across."""
     law = {"coefficient": 0.3, "mechanisms": {"anisotropy": {"anisotropy": 0.5}}}
-    model = str(written(tmp_path, friction_law={"face": law}, bench={}))
-    coarse = {"vertices_per_side": 9, "frames": 5, "frame_rate_hz": 0.25, "settle_s": 0.0}
-    coarse["friction_tolerance"] = 1e-5  # equal laws agree as closely as steps are solved
-    tail_m = {}
-    for warp in ("u", "v"):
-        settings = SimulationSettings(**coarse, model=model, warp=warp)
-        run, _ = simulate_drop_and_drag(DropAndDrag("11oz-black-denim", 0.3, 0), settings)
-        tail_m[warp] = run.positions_m[-1, -9:, 0].mean()
-    assert tail_m["v"] < tail_m["u"] - 0.002
+    model = written(tmp_path, friction_law={"face": law}, bench={})
+    along_u, along_v = (dragged(model=model, warp=warp) for warp in "uv")
+    assert tail_m(along_v) < tail_m(along_u) - 0.002
 
 
 def test_a_table_of_factors_is_read_in_its_covariate_s_unit(tmp_path):
@@ -122,8 +117,6 @@ def test_a_factor_by_the_time_of_a_session_is_checked_and_left_out(tmp_path):
 @pytest.mark.slow
 def test_drop_and_drag_runs_with_a_table_of_factors(tmp_path):
     """A table of equal factors is another coefficient; one by place acts where the cloth lies."""
-    coarse = {"vertices_per_side": 9, "frames": 5, "frame_rate_hz": 0.25, "settle_s": 0.0}
-    coarse["friction_tolerance"] = 1e-5  # equal laws agree as closely as steps are solved
     plain = {"face": {"coefficient": 0.2, "mechanisms": {}}}
     even = {"covariate": "pos_x_mm", "knots": [-500.0, 500.0], "factors": [1.5, 1.5]}
     behind = {"covariate": "pos_x_mm", "knots": [-500.0, -300.0], "factors": [3.0, 1.5]}
@@ -135,10 +128,8 @@ def test_drop_and_drag_runs_with_a_table_of_factors(tmp_path):
         ("behind", 0.2, {"discrepancy": behind}),
         ("weak", 0.2, None),
     ):
-        model = table and str(written(tmp_path, friction_law=plain, bench={}, **table))
-        settings = SimulationSettings(**coarse, model=model)
-        run, _ = simulate_drop_and_drag(DropAndDrag("11oz-black-denim", friction, 0), settings)
-        tails[name] = run.positions_m
+        model = table and written(tmp_path, friction_law=plain, bench={}, **table)
+        tails[name] = dragged(friction, model).positions_m
     assert np.array_equal(tails["coulomb"], tails["plain"])  # bit by bit
     np.testing.assert_allclose(tails["even"], tails["plain"], atol=2e-5)
     np.testing.assert_allclose(tails["behind"], tails["plain"], atol=2e-5)

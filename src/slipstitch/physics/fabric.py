@@ -27,23 +27,15 @@ FOLD_DIRECTIONS, FOLD_CURVATURES = 3, 5  # of the bending table
 
 @dataclass(frozen=True)
 class Fabric:
-    """Measured elastic parameters of one fabric.
-
-    Attributes
-    ----------
-    name : str
-    areal_density_kg_m2 : float
-    stretching_N_m : ndarray, shape (6, 4)
-        Rows: zero strain, then principal stretch at 0, 22.5, 45, 67.5, 90 degrees from u.
-        Columns: c11, c12, c22, c33.
-    bending_N_m : ndarray, shape (3, 5)
-        Hinge stiffness. Rows: fold line at 0, 45, 90 degrees from u. Columns: curvature
-        parameter 0, 5, 10, 15, 20 1/m.
-    """
+    """Measured elastic parameters of one fabric."""
 
     name: str
     areal_density_kg_m2: float
+    # Rows: zero strain, then principal stretch at 0, 22.5, 45, 67.5, 90 degrees from u. Columns:
+    # c11, c12, c22, c33.
     stretching_N_m: np.ndarray
+    # Hinge stiffness. Rows: fold line at 0, 45, 90 degrees from u. Columns: curvature parameter 0,
+    # 5, 10, 15, 20 1/m.
     bending_N_m: np.ndarray
 
     def scaled(self, density: float, stretching: float, bending: float) -> Fabric:
@@ -59,11 +51,8 @@ class Fabric:
 def read_fabric_file(path: str | Path) -> dict[str, Fabric]:
     """Read a file of fabrics, in the layout of the project's own ``fabrics.json``.
 
-    Raises
-    ------
-    BadInput
-        A key is missing, a table has the wrong shape, or a value is not finite, or a value
-        that must be positive (areal density, bending, stretching c11 and c22 at rest) is not.
+    BadInput if a key is missing, a table has the wrong shape or a value that is not finite, or a
+    value that must be positive (areal density, bending, stretching c11 and c22 at rest) is not.
     """
     path = Path(path)
     try:
@@ -75,12 +64,9 @@ def read_fabric_file(path: str | Path) -> dict[str, Fabric]:
 
 def _fabric(path: Path, name: str, entry: dict) -> Fabric:
     where = f"{path}: fabric {name!r}"
-    arrays = {}
-    for key, shape in (
-        ("areal_density_kg_m2", ()),
-        ("stretching_N_m", (6, 4)),
-        ("bending_N_m", (3, 5)),
-    ):
+    arrays: dict = {}
+    shapes = {"areal_density_kg_m2": (), "stretching_N_m": (6, 4), "bending_N_m": (3, 5)}
+    for key, shape in shapes.items():
         if not isinstance(entry, dict) or key not in entry:
             raise BadInput(f"{where}: {key} is missing")
         try:
@@ -98,9 +84,7 @@ def _fabric(path: Path, name: str, entry: dict) -> Fabric:
         raise BadInput(f"{where}: bending_N_m must be positive throughout")
     if (arrays["stretching_N_m"][0, [0, 2]] <= 0).any():
         raise BadInput(f"{where}: stretching_N_m row 0 must have positive c11 and c22")
-    return Fabric(
-        name, float(arrays["areal_density_kg_m2"]), arrays["stretching_N_m"], arrays["bending_N_m"]
-    )
+    return Fabric(name, **arrays | {"areal_density_kg_m2": float(arrays["areal_density_kg_m2"])})
 
 
 @cache
@@ -120,35 +104,20 @@ def fabric_digest(name: str, catalogue: str | Path = FABRICS_FILE) -> str | None
     fabrics = _catalogue() if catalogue == FABRICS_FILE else read_fabric_file(catalogue)
     if name not in fabrics:
         return None
-    fabric = fabrics[name]
-    numbers = [
-        fabric.areal_density_kg_m2,
-        fabric.stretching_N_m.tolist(),
-        fabric.bending_N_m.tolist(),
-    ]
+    one = fabrics[name]
+    numbers = [one.areal_density_kg_m2, one.stretching_N_m.tolist(), one.bending_N_m.tolist()]
     return hashlib.sha256(json.dumps(numbers).encode()).hexdigest()
 
 
 @dataclass(frozen=True)
 class ElasticTables:
-    """The tables interpolated by the kernels.
-
-    Attributes
-    ----------
-    areal_density_kg_m2 : float
-    stretching_N_m : ndarray, shape (30, 30, 30, 4)
-        k0, k1, k2, k3 over (G00, G11, abs(G01)); nodes at -0.25 + i/30, -0.25 + i/30, j/30.
-    bending_N_m : ndarray, shape (3, 5)
-        Hinge stiffness over fold direction (0, 45, 90 degrees from u) and curvature
-        (0, 5, 10, 15, 20 1/m).
-    rest_curvature_per_m : float
-        Natural curl about the u axis; positive curls towards the face's normal.
-    """
+    """The tables interpolated by the kernels."""
 
     areal_density_kg_m2: float
+    # (30, 30, 30, 4): k0...k3 over (G00, G11, abs(G01)); nodes -0.25 + i/30, -0.25 + i/30, j/30.
     stretching_N_m: np.ndarray
-    bending_N_m: np.ndarray
-    rest_curvature_per_m: float = 0.0
+    bending_N_m: np.ndarray  # (3, 5), as of a `Fabric`
+    rest_curvature_per_m: float = 0.0  # about the u axis; positive curls to the face's normal
 
     @classmethod
     def of_fabric(cls, fabric: Fabric) -> ElasticTables:
@@ -161,18 +130,7 @@ class ElasticTables:
 
 
 def stretching_stiffness(rows: np.ndarray, G00, G11, G01) -> np.ndarray:
-    """Stiffness k0...k3 of the data-driven law at given Green strains, in N/m.
-
-    Parameters
-    ----------
-    rows : ndarray, shape (6, 4)
-    G00, G11, G01 : array_like
-        Components of the Green strain, broadcast against each other.
-
-    Returns
-    -------
-    ndarray, shape (..., 4)
-    """
+    """Stiffness k0...k3 (..., 4) of a fabric's rows at given Green strains (...), in N/m."""
     C00, C11, C01 = np.broadcast_arrays(
         1 + 2 * np.asarray(G00, float), 1 + 2 * np.asarray(G11, float), 2 * np.asarray(G01, float)
     )
@@ -205,13 +163,8 @@ def isotropic_tables(
 ) -> ElasticTables:
     """Return tables of an isotropic, linear sheet, for comparison with theory.
 
-    Parameters
-    ----------
-    membrane_stiffness_N_m : float
-        Young's modulus times thickness.
-    hinge_stiffness_N_m : float
-        Stiffness ke of the hinges; the plate rigidity is ke/4 where the sheet is held
-        cylindrical.
+    The membrane stiffness is Young's modulus times thickness; the plate rigidity is a quarter of
+    the hinges' stiffness ke where the sheet is held cylindrical.
     """
     plane = membrane_stiffness_N_m / (1 - poisson_ratio**2)
     k = np.array([plane, poisson_ratio * plane, plane, (1 - poisson_ratio) * plane])

@@ -9,15 +9,6 @@ start_warp()
 
 from slipstitch.physics.cloth.floor_friction import Conditions  # noqa: E402
 from slipstitch.physics.cloth.mesh import ClothMesh, rectangle  # noqa: E402
-from slipstitch.physics.cloth.sheet import check_device  # noqa: E402
 from slipstitch.physics.cloth.solver import ClothSolver, SolverSettings, StepRecord  # noqa: E402
 
-__all__ = [
-    "ClothMesh",
-    "ClothSolver",
-    "Conditions",
-    "SolverSettings",
-    "StepRecord",
-    "check_device",
-    "rectangle",
-]
+__all__ = ["ClothMesh", "ClothSolver", "Conditions", "SolverSettings", "StepRecord", "rectangle"]

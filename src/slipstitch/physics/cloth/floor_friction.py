@@ -17,49 +17,24 @@ from slipstitch.physics.friction_law.mechanisms import REFERENCE_HUMIDITY_PCT
 
 @dataclass(frozen=True)
 class Conditions:
-    """What acts on the cloth beside its clamps, and what an extended friction law may ask for.
+    """What acts on the cloth beside its clamps, and what an extended friction law may ask for."""
 
-    Attributes
-    ----------
-    gravity_m_s2 : tuple of 3 floats
-        Tilted for an inclined plane.
-    ground_curvature_per_m : float
-        0 for the floor z = 0; 1/R for a cylinder of radius R about the line x = 0, z = -R.
-    nodal_force_N : float or None
-        What a node of the cloth typically bears, which penetration and tolerance refer to; None:
-        the median nodal weight. The share of the load where something else presses.
-    warp_angle_rad : float
-        From the cloth's u axis to its warp, towards v.
-    relative_humidity_pct : float
-    repeats : float
-        Slides that the cloth has made before.
-    """
-
-    gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -GRAVITY_M_S2)
+    gravity_m_s2: tuple[float, float, float] = (0.0, 0.0, -GRAVITY_M_S2)  # tilted for an incline
+    # 0 for the floor z = 0; 1/R for a cylinder of radius R about the line x = 0, z = -R.
     ground_curvature_per_m: float = 0.0
+    # What a node of the cloth typically bears, which penetration and tolerance refer to; None: the
+    # median nodal weight. The share of the load where something else presses.
     nodal_force_N: float | None = None
-    warp_angle_rad: float = 0.0
+    warp_angle_rad: float = 0.0  # from the cloth's u axis to its warp, towards v
     relative_humidity_pct: float = REFERENCE_HUMIDITY_PCT
-    repeats: float = 0.0
+    repeats: float = 0.0  # slides that the cloth has made before
 
 
 class FloorFriction:
     """Law and contact history of the nodes, as the kernels read them.
 
-    Parameters
-    ----------
-    mesh : ClothMesh
-    friction : float, ndarray of shape (V,), or FrictionLaw
-        Coulomb's coefficient, for all nodes or node by node, or a law.
-    conditions : Conditions
-    full_touch_N : float
-        Load from which a node touches with its whole area.
-    device : str
-
-    Attributes
-    ----------
-    extended : bool
-        Whether the limit is other than Coulomb's.
+    The friction is Coulomb's coefficient, for all nodes or node by node (V,), or a law; from
+    ``full_touch_N`` on, a node touches with its whole area.
     """
 
     def __init__(
@@ -73,7 +48,7 @@ class FloorFriction:
         law = friction if isinstance(friction, FrictionLaw) else None
         coefficient = law.coefficient if law else np.asarray(friction, float)
         self.coefficient = np.broadcast_to(coefficient, mesh.vertex_count).copy()
-        self.extended = bool(law and (law.mechanisms or law.curve))
+        self.extended = bool(law and (law.mechanisms or law.curve))  # other than Coulomb's
         self._mesh, self._warp_angle_rad = mesh, conditions.warp_angle_rad
         V = mesh.vertex_count
 
@@ -100,13 +75,7 @@ class FloorFriction:
             self.set_directions(place_m)
 
     def set_directions(self, place_m: np.ndarray) -> None:
-        """Take the warp's direction on the ground from the present shape.
-
-        Parameters
-        ----------
-        place_m : ndarray, shape (V, 3)
-            Coordinates along, across and above the ground.
-        """
+        """Take the warp's direction from coordinates (V, 3) along, across and above the ground."""
         grid = place_m.reshape(*self._mesh.shape, 3)
         rest = self._mesh.rest_uv_m.reshape(*self._mesh.shape, 2)
         along_u = np.gradient(grid[..., :2], rest[0, :, 0], axis=1)

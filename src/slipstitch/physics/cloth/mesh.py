@@ -11,26 +11,13 @@ from slipstitch.base.errors import BadInput
 
 @dataclass(frozen=True)
 class ClothMesh:
-    """A flat sheet at rest.
+    """A flat sheet at rest."""
 
-    Attributes
-    ----------
-    rest_uv_m : ndarray, shape (V, 2)
-        Material coordinates: u along the upper edge, v down from it.
-    faces : ndarray of int32, shape (F, 3)
-    hinges : ndarray of int32, shape (H, 4)
-        Edge ends, then the vertex opposite in the first and in the second face.
-    elimination_order : ndarray of int32, shape (V,)
-        Nested dissection of the vertices: keeps the Cholesky factor sparse.
-    shape : tuple of int
-        Rows and columns of vertices; vertex number is ``row * columns + column``.
-    """
-
-    rest_uv_m: np.ndarray
-    faces: np.ndarray
-    hinges: np.ndarray
-    elimination_order: np.ndarray
-    shape: tuple[int, int]
+    rest_uv_m: np.ndarray  # (V, 2): u along the upper edge, v down from it
+    faces: np.ndarray  # (F, 3), int32
+    hinges: np.ndarray  # (H, 4): edge ends, then the vertices opposite in first and second face
+    elimination_order: np.ndarray  # nested dissection: keeps the Cholesky factor sparse
+    shape: tuple[int, int]  # rows and columns; vertex number is ``row * columns + column``
 
     @property
     def vertex_count(self) -> int:
@@ -51,17 +38,7 @@ class ClothMesh:
 def rectangle(rows: int, columns: int, length_m: float, width_m: float) -> ClothMesh:
     """Mesh a rectangle with right triangles whose diagonals alternate.
 
-    Parameters
-    ----------
-    rows, columns : int
-        Vertices down (v) and across (u); at least 2 each.
-    length_m, width_m : float
-        Extent down and across.
-
-    Raises
-    ------
-    BadInput
-        Fewer than two rows or columns, or a size that is not positive.
+    Rows and length are down (v), columns and width across (u); at least two rows and columns.
     """
     if rows < 2 or columns < 2:
         raise BadInput(f"mesh of {rows} x {columns} vertices: must be at least 2 x 2")
@@ -71,16 +48,10 @@ def rectangle(rows: int, columns: int, length_m: float, width_m: float) -> Cloth
         np.linspace(0, length_m, rows), np.linspace(0, width_m, columns), indexing="ij"
     )
     number = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
-    faces = []
-    for i in range(rows - 1):
-        for j in range(columns - 1):
-            a, b = number[i, j], number[i, j + 1]
-            c, d = number[i + 1, j], number[i + 1, j + 1]
-            if (i + j) % 2 == 0:
-                faces += [(a, b, d), (a, d, c)]
-            else:
-                faces += [(a, b, c), (b, d, c)]
-    faces = np.array(faces, dtype=np.int32)
+    a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
+    even = np.add.outer(np.arange(rows - 1), np.arange(columns - 1))[..., None] % 2 == 0
+    falling, rising = np.stack([a, b, d, a, d, c], -1), np.stack([a, b, c, b, d, c], -1)
+    faces = np.where(even, falling, rising).reshape(-1, 3)
     order: list[int] = []
     _dissect(number, order)
     return ClothMesh(

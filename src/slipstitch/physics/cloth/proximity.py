@@ -274,12 +274,6 @@ class NearPairs:
 
     A pair is named by a key, its row in the table of all possible pairs: first vertices with
     triangles, then edges with edges.
-
-    Parameters
-    ----------
-    faces : ndarray of int, shape (F, 3)
-    vertex_count : int
-    device : str
     """
 
     def __init__(self, faces: np.ndarray, vertex_count: int, device: str):
@@ -299,13 +293,7 @@ class NearPairs:
         self._found.count = wp.zeros(1, dtype=wp.int32, device=device)
 
     def search(self, x: wp.array, move: wp.array, reach_m: float) -> np.ndarray:
-        """Keys, increasing, of the pairs that come nearer than reach on a straight motion.
-
-        Raises
-        ------
-        NotConverged
-            There are more than ``PAIRS_MAX``.
-        """
+        """Keys, increasing, of the pairs that come nearer than reach on a straight motion."""
         for box in (self._face_boxes, self._edge_boxes):
             box.enclose(x, move, 0.0)
         for box in (self._vertex_boxes, self._edge_ways):

@@ -223,19 +223,12 @@ class SelfContact:
 
     Parameters
     ----------
-    mesh : ClothMesh
     thickness_m : float
         Distance at which two layers begin to push each other; well under the mesh's spacing.
     stiffness_N_m : float
         Of one pair, normal and tangential.
     friction : float
         Friction coefficient between layers.
-    device : str
-
-    Raises
-    ------
-    NotConverged
-        More than ``proximity.PAIRS_MAX`` pairs are near (from :meth:`cover`).
     """
 
     def __init__(

@@ -23,26 +23,10 @@ from slipstitch.physics.fabric import ElasticTables
 
 
 class Sheet:
-    """Device arrays and launches of a sheet.
+    """Device arrays and launches of a sheet on a Warp device: ``cpu``, ``cuda``, ``cuda:1`` ...
 
-    Parameters
-    ----------
-    mesh : ClothMesh
-    tables : ElasticTables
-    fixed : ndarray of bool, shape (V, 3)
-        Coordinates that are prescribed.
-    floor : FloorFriction
-    nodes : contact.Nodes
-        With masses and ground; the other arrays are made here.
-    stiffness_rule : int
-        Of the hinges, see :data:`bending.STIFFNESS_RULES`.
-    device : str
-        Warp device: ``cpu``, ``cuda``, ``cuda:1`` ...
-
-    Attributes
-    ----------
-    layers : SelfContact or None
-        Whose forces are added.
+    Coordinates that are ``fixed`` (V, 3) are prescribed. The nodes come with masses and ground; the
+    other arrays are made here. The rule of the hinges is one of :data:`bending.STIFFNESS_RULES`.
     """
 
     def __init__(
@@ -56,7 +40,7 @@ class Sheet:
         device: str,
     ):
         self.device, self.floor, self.nodes = device, floor, nodes
-        self.layers: SelfContact | None = None
+        self.layers: SelfContact | None = None  # whose forces are added
         V = self._vertex_count = mesh.vertex_count
         self.assembly = Assembly([mesh.faces, mesh.hinges], fixed, device)
         nodes.target = wp.zeros(V, dtype=wp.vec3d, device=device)
@@ -173,13 +157,7 @@ class Sheet:
 
 
 def check_device(name: str) -> None:
-    """Whether forces can be evaluated on a device.
-
-    Raises
-    ------
-    BadInput
-        There is no such device here.
-    """
+    """BadInput if forces cannot be evaluated on a device, because it is not on this machine."""
     here = [device.alias for device in wp.get_devices()]
     if name not in here and not (name == "cuda" and wp.is_cuda_available()):
         raise BadInput(

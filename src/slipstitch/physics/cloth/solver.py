@@ -118,22 +118,12 @@ class ClothSolver:
 
     Parameters
     ----------
-    mesh : ClothMesh
-    tables : ElasticTables
     positions_m : ndarray, shape (V, 3)
         Initial positions; initial velocities are zero.
     friction : float, ndarray of shape (V,), or FrictionLaw
         Friction coefficient between cloth and floor, or an extended law.
     fixed : ndarray of bool, shape (V, 3)
         Coordinates that are prescribed rather than solved for.
-    settings : SolverSettings
-    conditions : Conditions
-        Gravity, ground, load, and what an extended friction law needs to know beside the motion.
-
-    Raises
-    ------
-    BadInput
-        The device is not on this machine.
     """
 
     def __init__(
@@ -187,24 +177,20 @@ class ClothSolver:
         self._tangent = Tangent(
             self.sheet.assembly, mesh.elimination_order, self.sheet.tangent_values
         )
-        self._layers = self.sheet.layers = self._self_contact() if settings.self_contact else None
+        self._layers: SelfContact | None = None
+        if settings.self_contact:
+            friction = settings.layer_friction
+            self._layers = self.sheet.layers = SelfContact(
+                mesh,
+                thickness_m=settings.thickness_m,
+                stiffness_N_m=self.nodal_force_N / settings.layer_penetration_m,
+                friction=float(self.friction.max()) if friction is None else friction,
+                device=settings.device,
+            )
         self._coupled = -1  # generation of the pairs that the tangent has room for
-
-    def _self_contact(self) -> SelfContact:
-        settings, friction = self.settings, self.settings.layer_friction
-        return SelfContact(
-            self.mesh,
-            thickness_m=settings.thickness_m,
-            stiffness_N_m=self.nodal_force_N / settings.layer_penetration_m,
-            friction=float(self.friction.max()) if friction is None else friction,
-            device=settings.device,
-        )
+        self._evaluate = self.sheet.forces
 
     # -- pieces of a step -----------------------------------------------------------------
-
-    def _evaluate(self, x: np.ndarray) -> np.ndarray:
-        """Out-of-balance forces at positions x, shape (V, 3), in N; prescribed ones are 0."""
-        return self.sheet.forces(x)
 
     def _factorise(self) -> None:
         """Assemble and factor the tangent at the positions last evaluated."""
@@ -238,8 +224,7 @@ class ClothSolver:
     def _contact_blocks(self, symmetric: bool = False) -> tuple[np.ndarray, np.ndarray]:
         """Exact tangent of the ground's force: nodes in contact, and their 3 x 3 blocks.
 
-        Not symmetric where a node slips: its friction follows its normal force. ``symmetric``
-        leaves that part out.
+        Not symmetric where a node slips, unless how friction follows the load is left out.
         """
         place, state = self.sheet.evaluated()
         nodes = np.flatnonzero(state)
@@ -267,9 +252,9 @@ class ClothSolver:
     def _correction(self, residual: np.ndarray) -> np.ndarray:
         """Newton correction at the positions last evaluated.
 
-        The factor holds the symmetric part of contact as it was when it was made. The
-        difference C to the exact tangent of contact now is solved for by GMRES,
-        preconditioned with the factor: (A + C) A^-1 y = -r needs products with C only.
+        The factor holds the symmetric part of contact as it was when it was made. The difference C
+        to the exact tangent of contact now is solved for by GMRES, preconditioned with the factor:
+        (A + C) A^-1 y = -r needs products with C only.
         """
         nodes, blocks = self._contact_blocks()
         difference = -self._factored_blocks
@@ -349,9 +334,7 @@ class ClothSolver:
 
     def _clear_fraction(self, x: np.ndarray, correction: np.ndarray) -> float:
         """Largest multiple of a correction that may be tried."""
-        if self._layers is None or not len(self._layers):
-            return EXTRAPOLATION_MAX
-        part = self._layers.clear_part(x, EXTRAPOLATION_MAX * correction)
+        part = self._layers.clear_part(x, EXTRAPOLATION_MAX * correction) if self._layers else 1.0
         return EXTRAPOLATION_MAX * part
 
     # -- stepping -------------------------------------------------------------------------
@@ -432,9 +415,9 @@ class ClothSolver:
             self.floor.set_directions(place)
 
     def _solve_apart(self, guess: np.ndarray) -> tuple[np.ndarray, float]:
-        """Solve the step so that no part of the cloth passes through another on the way.
+        """Positions (V, 3) at the end of the step, and the relative residual.
 
-        Returns x (V, 3) and the relative residual, which is infinite if parts would pass through.
+        The residual is infinite if parts of the cloth would pass through each other on the way.
         """
         tolerance = self.settings.friction_tolerance
         layers = self._layers
@@ -472,20 +455,15 @@ class ClothSolver:
                 raise _TooLong
             if error <= settings.friction_tolerance or not np.isfinite(error):
                 break
-            if (
-                not self._tangent.factored
-                or (rate > REFACTOR_RATE and not exact)
-                or self._products > PRODUCTS_MAX
-            ):
+            slow = (rate > REFACTOR_RATE and not exact) or self._products > PRODUCTS_MAX
+            if slow or not self._tangent.factored:
                 self._factorise()
                 self._products = 0
             exact = error < EXACT_BELOW
-            if exact:
-                correction = self._exact_correction(x, residual)
-                if np.vdot(correction, residual) >= 0:
+            correction = self._exact_correction(x, residual) if exact else None
+            if correction is None or np.vdot(correction, residual) >= 0:
+                if exact:
                     self._evaluate(x)
-                    correction = self._correction(residual)
-            else:
                 correction = self._correction(residual)
             x, residual = self._search(x, residual, correction)
             before, error = error, self._relative(residual)
@@ -527,10 +505,9 @@ class ClothSolver:
         if duration_s > 1.01 * self._accurate_step_s and halvings < REFINEMENTS_MAX:
             self._halve(duration_s, prescribed, halvings)
             return
-        outcome = self._try_step(duration_s, prescribed, halvings < REFINEMENTS_MAX)
+        outcome = self._attempt(duration_s, prescribed, halvings < REFINEMENTS_MAX)
         if outcome is Outcome.ACCEPTED:
             return
-        self._count_failure(outcome)
         if outcome is Outcome.UNSOLVED and halvings >= HALVINGS_MAX:
             raise NotConverged(
                 f"at {self.time_s:.4f} s a step of {duration_s:.2e} s did not converge to "
@@ -552,9 +529,7 @@ class ClothSolver:
         self, duration_s: float, prescribed: Callable[[float], np.ndarray] | None = None
     ) -> bool:
         """Move on by one step as :meth:`advance` if it is accurate and converges; did it move?"""
-        outcome = self._try_step(duration_s, prescribed, may_refine=True)
-        self._count_failure(outcome)
-        return outcome is Outcome.ACCEPTED
+        return self._attempt(duration_s, prescribed, may_refine=True) is Outcome.ACCEPTED
 
     def foreseen_step_s(self) -> float:
         """Longest step to be accurate if the motion goes on as in the last step.
@@ -567,12 +542,15 @@ class ClothSolver:
         times = sqrt(FORESEEN_ERROR * allowed_m / max(self._last_error_m, LEAST_ERROR_M))
         return min(times * self._last_step_s, self._accurate_step_s)
 
-    def _count_failure(self, outcome: Outcome) -> None:
+    def _attempt(self, step_s, prescribed: Callable | None, may_refine: bool) -> Outcome:
+        """Try a step, and count it if it fails."""
+        outcome = self._try_step(step_s, prescribed, may_refine)
         if outcome is Outcome.INACCURATE:
             self.record.refinements += 1
         elif outcome is Outcome.UNSOLVED:
             self._tangent.factored = False
             self.record.halvings += 1
+        return outcome
 
     def _halve(self, duration_s, prescribed, halvings: int) -> None:
         self.advance(duration_s / 2, prescribed, halvings + 1)
@@ -585,11 +563,10 @@ class ClothSolver:
     # -- observables ----------------------------------------------------------------------
 
     def reactions(self) -> np.ndarray:
-        """Forces that hold the prescribed coordinates, shape (V, 3); zero elsewhere.
+        """Forces of the holder on the prescribed coordinates, shape (V, 3); zero elsewhere.
 
-        What elastic, gravity and floor forces at the present positions leave over: the force
-        that the holder exerts on the cloth. Inertia is left out: read it at rest or
-        in steady motion.
+        What elastic, gravity and floor forces leave over; without inertia: for rest or steady
+        motion.
         """
         self._nodes.target.assign(self.positions_m)
         self.sheet.damping_ratio.fill_(0.0)

@@ -35,12 +35,8 @@ def add_entry(entries: Entries, element: int, column: int, value: wp.float64):
 class _Pattern:
     """Lower triangle of a symmetric matrix of 3 x 3 blocks, in compressed column form.
 
-    Parameters
-    ----------
-    keys : ndarray of int64
-        Sorted, unique ``column node * node count + row node`` with row >= column, every
-        diagonal block among them.
-    node_count : int
+    Its keys are sorted, unique ``column node * node count + row node`` with row >= column, every
+    diagonal block among them.
     """
 
     def __init__(self, keys: np.ndarray, node_count: int):
@@ -86,13 +82,8 @@ class _Pattern:
 class Assembly:
     """Positions in the tangent stiffness to which the elements of a mesh contribute.
 
-    Parameters
-    ----------
-    elements : list of ndarray, shape (n, k)
-        Nodes of each element of each kind (faces, hinges): what couples whom.
-    fixed : ndarray of bool, shape (V, 3)
-        Coordinates left out: their rows and columns are those of the identity.
-    device : str
+    Elements (n, k) of each kind (faces, hinges) list the nodes that they couple. Rows and columns
+    of fixed coordinates (V, 3) are those of the identity.
 
     Attributes
     ----------
@@ -145,13 +136,7 @@ class Assembly:
 class Tangent:
     """Tangent stiffness of one sheet, factored by CHOLMOD on the host.
 
-    Parameters
-    ----------
-    assembly : Assembly
-    elimination_order : ndarray, shape (V,)
-        Of the nodes.
-    values : wp.array
-        Entries that elements add to.
+    Nodes are eliminated in an order (V,); elements add to ``values``.
     """
 
     def __init__(self, assembly: Assembly, elimination_order: np.ndarray, values: wp.array):
@@ -181,12 +166,9 @@ class Tangent:
         """
         keys = np.union1d(self._own.keys, self._assembly.pair_keys(contacts))
         whole = self._whole = _Pattern(keys, self._assembly.node_count)
-        lower = cvxopt.spmatrix(
-            1.0,
-            cvxopt.matrix(whole.row),
-            cvxopt.matrix(whole.column),
-            (whole.node_count, whole.node_count),
-        )
+        size = (whole.node_count, whole.node_count)
+        ends = cvxopt.matrix(whole.row), cvxopt.matrix(whole.column)
+        lower = cvxopt.spmatrix(1.0, *ends, size)
         self._new_pattern(np.array(cvxopt.amd.order(lower)).ravel())
         self._moved = self._entry_map()
         self._extended = wp.zeros(whole.entry_count, dtype=wp.float64, device=self._assembly.device)
@@ -227,13 +209,7 @@ class Tangent:
         return self._extended
 
     def factorise(self) -> None:
-        """Factor what was assembled.
-
-        Raises
-        ------
-        ArithmeticError
-            The matrix is not positive definite.
-        """
+        """Factor what was assembled; ArithmeticError if it is not positive definite."""
         self._matrix.V = cvxopt.matrix(self._extended.numpy())
         if self._factor is None:
             self._factor = cholmod.symbolic(self._matrix, p=self._permutation)
@@ -260,17 +236,8 @@ def flexible_gmres(
     the preconditioned basis is kept. SciPy's GMRES solves with the preconditioner once more for its
     answer: of two or three products a correction, as the cloth needs, a third of the solves.
 
-    Parameters
-    ----------
-    solve : callable
-        The preconditioner: d = A^-1 y.
-    product : callable
-        K d from y and d = A^-1 y.
-    right : ndarray, shape (n,)
-        b, not zero.
-    accuracy : float
-        Residual wanted, over the size of b.
-    products_max : int
+    The preconditioner ``solve`` gives d = A^-1 y, ``product`` gives K d from y and d; b, ``right``,
+    is not zero, and the accuracy is the residual wanted over its size.
     """
     size = float(np.linalg.norm(right))
     basis, solutions = [right / size], []

@@ -27,21 +27,12 @@ CURVES: Mapping[str, tuple[str, float] | None] = {
 
 @dataclass(frozen=True)
 class ExtendedModel:
-    """A friction law, and how fabric and floor differ from what they are taken for.
+    """A friction law, and how fabric and floor differ from what they are taken for."""
 
-    Attributes
-    ----------
-    law : FrictionLaw
-        Of the cloth's face.
-    mass_error, bending_error : float
-        True = nominal x (1 + error).
-    tilt_along_rad, tilt_across_rad : float
-        Slope of the floor towards lab azimuth 0 and 90 degrees, positive where it falls that way.
-    """
-
-    law: FrictionLaw
-    mass_error: float = 0.0
+    law: FrictionLaw  # of the cloth's face
+    mass_error: float = 0.0  # true = nominal x (1 + error)
     bending_error: float = 0.0
+    # Slope of the floor towards lab azimuth 0 and 90 degrees, positive where it falls that way.
     tilt_along_rad: float = 0.0
     tilt_across_rad: float = 0.0
     readings: Mapping[str, float] = field(default_factory=dict)  # departures of the instruments
@@ -58,24 +49,12 @@ class ExtendedModel:
 
 
 def read_extended_model(path: str | os.PathLike) -> ExtendedModel:
-    """Read the file that ``slipstitch criticise --model`` writes.
-
-    Raises
-    ------
-    BadInput
-        If it is missing, no YAML, or does not hold a friction law of the face.
-    """
+    """Read the file that ``slipstitch criticise --model`` writes."""
     return model_of(read_yaml(path), str(path))
 
 
 def model_of(data: Any, source: str = "extended model") -> ExtendedModel:
-    """The model that plain data state; ``source`` is named in errors.
-
-    Raises
-    ------
-    BadInput
-        As :func:`read_extended_model`.
-    """
+    """The model that plain data state; ``source`` is named in errors."""
     laws = data.get("friction_law") if isinstance(data, dict) else None
     if not isinstance(laws, dict) or "face" not in laws:
         raise BadInput(
@@ -108,13 +87,7 @@ def model_of(data: Any, source: str = "extended model") -> ExtendedModel:
 
 
 def curve_of(table: Any, source: str) -> Curve | None:
-    """The table of a smooth factor on the coefficient, in SI units; None if by time.
-
-    Raises
-    ------
-    BadInput
-        If it is no such table; ``source`` is named.
-    """
+    """The table of a smooth factor on the coefficient, in SI units; None if by time."""
     if not isinstance(table, dict) or not {"covariate", "knots", "factors"} <= set(table):
         raise BadInput(f"{source}: discrepancy: must have covariate, knots and factors")
     name = table["covariate"]

@@ -30,11 +30,6 @@ class Curve:
 
     Between knots the factor's logarithm is linear in the quantity (in its logarithm, for speed and
     load), beyond them constant. A factor along the speed acts in motion only.
-
-    Raises
-    ------
-    BadInput
-        Of another quantity, or of knots that do not increase or have no factor above 0.
     """
 
     quantity: str
@@ -93,25 +88,12 @@ class FrictionLaw:
 
     ``F = N mu (product of factors) + (sum of added forces)``; with no mechanism and no curve,
     Coulomb's law.
-
-    Parameters
-    ----------
-    coefficient
-        Friction coefficient mu of the null law.
-    mechanisms
-        Mechanism identifier -> its parameter values by name.
-    curve
-        A tabulated factor beside them.
-
-    Raises
-    ------
-    BadInput
-        If a mechanism or one of its parameters is unknown or missing.
     """
 
-    coefficient: float
+    coefficient: float  # mu of the null law
+    # Identifier -> parameter values by name.
     mechanisms: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
-    curve: Curve | None = None
+    curve: Curve | None = None  # a tabulated factor beside them
 
     def __post_init__(self) -> None:
         for identifier, values in self.mechanisms.items():
@@ -138,11 +120,8 @@ class FrictionLaw:
     def force_limit(self, contact: Contact, static: bool) -> np.ndarray:
         """Friction force at which the contact slips (static) or with which it slides (kinetic).
 
-        Returns
-        -------
-        numpy.ndarray
-            In newtons (or newtons per metre, if the loads are per width), shape of the contact's
-            fields broadcast together; never negative.
+        In N (N/m if the loads are per width), shape of the contact's fields broadcast together;
+        never negative.
         """
         force = self.coefficient * np.asarray(contact.normal_force_N, dtype=float)
         added = 0.0
@@ -159,11 +138,8 @@ class FrictionLaw:
     def parameter_values(self) -> np.ndarray:
         """Every parameter of every mechanism there is, those that are absent at their null.
 
-        Returns
-        -------
-        numpy.ndarray
-            In the order of ``CONTACT_MECHANISMS`` and of their parameters, then
-            :meth:`Curve.values`, zeros without a curve.
+        In the order of ``CONTACT_MECHANISMS`` and of their parameters, then :meth:`Curve.values`,
+        zeros without a curve.
         """
         own = [
             self.mechanisms.get(identifier, {}).get(parameter.name, parameter.null)

@@ -1,15 +1,13 @@
 """The state of a contact, and the mechanisms that act on its friction.
 
-An entry of `CONTACT_MECHANISMS` is everything that a further mechanism takes: protocols and fits
-evaluate its formula with NumPy, and the cloth simulator evaluates the same formula in Warp
-(:mod:`slipstitch.physics.cloth.friction`). A formula is therefore one return statement with NumPy's
-functions only.
+Protocols and fits evaluate the formulas of `CONTACT_MECHANISMS` with NumPy; the cloth simulator has
+the same in Warp (:mod:`slipstitch.physics.cloth.friction`), and a test holds both together.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cache
 from inspect import signature
 from types import MappingProxyType
@@ -36,36 +34,17 @@ class Contact:
 
     Every field is a number or an array; all broadcast together. A NaN means *not recorded*: a
     mechanism that needs it then leaves the friction as it is.
-
-    Parameters
-    ----------
-    normal_force_N, area_m2
-        Load and apparent area. Forces per width with areas per width do as well.
-    direction_rad
-        From the warp to the direction of sliding: 0 along the warp, pi/2 along the weft.
-    dwell_s
-        Rest in contact before the pull.
-    speed_m_s
-        Speed of sliding.
-    repeats
-        Slides that this place has made before, from 0.
-    relative_humidity_pct
-        Relative humidity of the air.
-    place_m
-        Place on the substrate, along the track.
-    edge
-        The contact is the edge of a sheet (strip), not its face.
     """
 
-    normal_force_N: ArrayLike
-    area_m2: ArrayLike = 1.0
-    direction_rad: ArrayLike = 0.0
-    dwell_s: ArrayLike = np.nan
-    speed_m_s: ArrayLike = np.nan
-    repeats: ArrayLike = 0.0
-    relative_humidity_pct: ArrayLike = np.nan
-    place_m: ArrayLike = np.nan
-    edge: bool = False
+    normal_force_N: ArrayLike  # forces per width with areas per width do as well
+    area_m2: ArrayLike = 1.0  # apparent
+    direction_rad: ArrayLike = 0.0  # from the warp to the sliding: pi/2 along the weft
+    dwell_s: ArrayLike = np.nan  # rest in contact before the pull
+    speed_m_s: ArrayLike = np.nan  # of sliding
+    repeats: ArrayLike = 0.0  # slides that this place has made before, from 0
+    relative_humidity_pct: ArrayLike = np.nan  # of the air
+    place_m: ArrayLike = np.nan  # on the substrate, along the track
+    edge: bool = False  # the contact is the edge of a sheet (strip), not its face
 
     def with_load(self, normal_force_N: ArrayLike, area_m2: ArrayLike | None = None) -> Contact:
         """The same contact under another load (and on another area, if given)."""
@@ -87,28 +66,18 @@ class Contact:
 
 @dataclass(frozen=True)
 class Parameter:
-    """One number of a mechanism; the null value is the one at which the mechanism is absent.
-
-    Attributes
-    ----------
-    scale : size of a change that matters; finite differences and priors use it.
-    lower, upper : bounds of a fit.
-    kinked : the readings have a kink at the null, so that either side has its own descent.
-    prior_sd : standard deviation of the prior about the null; without one, thirty scales.
-    relative : true = nominal (1 + parameter); the interval is symmetric in the logarithm.
-    coefficient : a friction coefficient, fitted as its natural logarithm.
-    """
+    """One number of a mechanism; the null value is the one at which the mechanism is absent."""
 
     name: str
     unit: str
     null: float
-    scale: float
-    lower: float
+    scale: float  # size of a change that matters; finite differences and priors use it
+    lower: float  # bounds of a fit
     upper: float
-    kinked: bool = False
-    prior_sd: float | None = None
-    relative: bool = False
-    coefficient: bool = False
+    kinked: bool = False  # the readings have a kink at the null: either side has its own descent
+    prior_sd: float | None = None  # about the null; None: thirty scales
+    relative: bool = False  # true = nominal (1 + parameter); interval symmetric in the logarithm
+    coefficient: bool = False  # a friction coefficient, fitted as its natural logarithm
 
     @property
     def prior_width(self) -> float:
@@ -118,33 +87,27 @@ class Parameter:
 
 @dataclass(frozen=True)
 class Mechanism:
-    """A departure from plain Coulomb friction, or from the nominal bench or fabric.
+    """A departure from plain Coulomb friction, or from the nominal bench or fabric."""
 
-    Attributes
-    ----------
-    identifier, title : name in verdicts, and what is said after "the model is wrong because".
-    covariate : column of a feature that drives it; None if it acts alike everywhere. Where the
-        column is empty, the mechanism may not be blamed.
-    aliased_if_unrecorded : mechanism that would do the same where that one's covariate was not
-        recorded.
-    tested_at : values of parameters that mean nothing at the null (an onset, a place), at each of
-        which the others are tested.
-    starts : values at each of which a fit starts; without any, at the null.
-    components : names under which two parameters, components of a vector along 0 and 90 degrees,
-        are reported: its size and its direction.
-    direct_check : a measurement of the mechanism itself, and the standard deviation to which it
-        tells each parameter.
-    """
-
-    identifier: str
-    title: str
+    identifier: str  # name in verdicts
+    title: str  # what is said after "the model is wrong because"
     parameters: tuple[Parameter, ...]
-    covariate: str | None = field(default=None, kw_only=True)
-    aliased_if_unrecorded: str | None = field(default=None, kw_only=True)
-    tested_at: tuple[Mapping[str, float], ...] = field(default=(), kw_only=True)
-    starts: tuple[Mapping[str, float], ...] = field(default=(), kw_only=True)
-    components: tuple[str, str] | None = field(default=None, kw_only=True)
-    direct_check: tuple[str, Mapping[str, float]] | None = field(default=None, kw_only=True)
+    _: KW_ONLY
+    # Column of a feature that drives it; None if it acts alike everywhere. Where the column is
+    # empty, the mechanism may not be blamed.
+    covariate: str | None = None
+    # Mechanism that would do the same where that one's covariate was not recorded.
+    aliased_if_unrecorded: str | None = None
+    # Values of parameters that mean nothing at the null (an onset, a place), at each of which the
+    # others are tested.
+    tested_at: tuple[Mapping[str, float], ...] = ()
+    starts: tuple[Mapping[str, float], ...] = ()  # of a fit; without any, at the null
+    # Names under which two parameters, components of a vector along 0 and 90 degrees, are reported:
+    # its size and its direction.
+    components: tuple[str, str] | None = None
+    # A measurement of the mechanism itself, and the standard deviation to which it tells each
+    # parameter.
+    direct_check: tuple[str, Mapping[str, float]] | None = None
 
     def null_values(self) -> dict[str, float]:
         """Parameter values at which the mechanism does nothing."""
@@ -165,25 +128,17 @@ class ContactMechanism(Mechanism):
     """A mechanism of the contact: it scales the friction force, or adds to it.
 
     A formula is a plain function whose arguments are named after the mechanism's parameters and
-    after quantities of :class:`Contact`: one return statement, NumPy's functions only. NumPy
-    evaluates it here; the cloth simulator evaluates a translation of the same source.
-
-    Attributes
-    ----------
-    factor, static_factor, kinetic_factor
-        Factor on the Coulomb force: always, at rest only, in motion only.
-    added_force
-        Force beside it, in N.
-    unrecorded
-        Quantity -> what stands in for it where it was not recorded: a value at which the formula
-        does nothing.
+    after quantities of :class:`Contact`.
     """
 
-    factor: Formula | None = field(default=None, kw_only=True)
-    static_factor: Formula | None = field(default=None, kw_only=True)
-    kinetic_factor: Formula | None = field(default=None, kw_only=True)
-    added_force: Formula | None = field(default=None, kw_only=True)
-    unrecorded: Mapping[str, float] = field(default_factory=dict, kw_only=True)
+    _: KW_ONLY
+    factor: Formula | None = None  # on the Coulomb force, always
+    static_factor: Formula | None = None  # at rest only
+    kinetic_factor: Formula | None = None  # in motion only
+    added_force: Formula | None = None  # beside it, in N
+    # Quantity -> what stands in for it where it was not recorded: a value at which the formula does
+    # nothing.
+    unrecorded: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def needs(self) -> frozenset[str]:
