@@ -176,65 +176,22 @@ def arguments_of(formula: Formula) -> tuple[str, ...]:
     return tuple(signature(formula).parameters)
 
 
-def load_power_factor(load_power, load_ratio):
-    """(p / p0)^m, p0 = 50 Pa; at an edge (N / 2 mN)^m (Howell; Bowden and Young: n = 1 + m)."""
-    return np.maximum(load_ratio, LEAST_RATIO) ** load_power
-
-
-def adhesion_added_force(adhesion, area_m2):
-    """A shear stress times the apparent area, at no load (Bowden and Tabor)."""
-    return adhesion * area_m2
-
-
-def static_kinetic_static_factor(static_kinetic):
-    """1 + e."""
-    return 1.0 + static_kinetic
-
-
-def ageing_static_factor(ageing, dwell_s):
-    """1 + a log10(1 + t / 1 s) (Dieterich)."""
-    return 1.0 + ageing * np.log10(1.0 + dwell_s / REFERENCE_DWELL_S)
-
-
-def rate_kinetic_factor(rate, speed_m_s):
-    """1 + b log10(v / 10 mm/s)."""
-    return 1.0 + rate * np.log10(np.maximum(speed_m_s, SLOWEST_M_S) / REFERENCE_SPEED_M_S)
-
-
-def anisotropy_factor(anisotropy, direction_rad):
-    """1 + a cos 2 phi, the same forth and back."""
-    return 1.0 + anisotropy * np.cos(2.0 * direction_rad)
-
-
-def nap_factor(nap, direction_rad):
-    """1 + a cos phi: sliding back has the other sign."""
-    return 1.0 + nap * np.cos(direction_rad)
-
-
-def wear_factor(wear, wear_r0, repeats):
-    """1 + a (1 - exp(-r / r0)), r the slides before."""
-    return 1.0 + wear * (1.0 - np.exp(-repeats / wear_r0))
-
-
-def humidity_factor(humidity, relative_humidity_pct):
-    """1 + a (RH - 50) / 10."""
-    return 1.0 + humidity * (relative_humidity_pct - REFERENCE_HUMIDITY_PCT) / 10.0
-
-
 _ENTRIES = (
     ContactMechanism(
         "load_power",
         "friction grows less (or more) than in proportion to the load",
         (Parameter("load_power", "1", 0.0, 0.05, -0.9, 0.9),),
         covariate="load_ratio",
-        factor=load_power_factor,
+        # (p / p0)^m, p0 = 50 Pa; at an edge (N / 2 mN)^m (Howell; Bowden and Young: n = 1 + m).
+        factor=lambda load_power, load_ratio: np.maximum(load_ratio, LEAST_RATIO) ** load_power,
     ),
     ContactMechanism(
         "adhesion",
         "part of the friction grows with the area, not the load",
         (Parameter("adhesion", "Pa", 0.0, 1.0, -30.0, 200.0),),
         covariate="load_ratio",
-        added_force=adhesion_added_force,
+        # A shear stress times the apparent area, at no load (Bowden and Tabor).
+        added_force=lambda adhesion, area_m2: adhesion * area_m2,
     ),
     ContactMechanism(
         "static_kinetic",
@@ -242,14 +199,17 @@ _ENTRIES = (
         (Parameter("static_kinetic", "1", 0.0, 0.1, 0.0, 3.0, kinked=True),),
         # Whether an excess at rest grows with the rest cannot be told without the rests.
         aliased_if_unrecorded="ageing",
-        static_factor=static_kinetic_static_factor,
+        static_factor=lambda static_kinetic: 1.0 + static_kinetic,
     ),
     ContactMechanism(
         "ageing",
         "static friction grows with the rest time before the pull",
         (Parameter("ageing", "1/decade", 0.0, 0.05, 0.0, 2.0, kinked=True),),
         covariate="dwell_s",
-        static_factor=ageing_static_factor,
+        # Dieterich.
+        static_factor=lambda ageing, dwell_s: (
+            1.0 + ageing * np.log10(1.0 + dwell_s / REFERENCE_DWELL_S)
+        ),
         unrecorded={"dwell_s": 0.0},
     ),
     ContactMechanism(
@@ -257,7 +217,9 @@ _ENTRIES = (
         "kinetic friction changes with the sliding speed",
         (Parameter("rate", "1/decade", 0.0, 0.05, -0.9, 0.9, kinked=True),),
         covariate="speed_mm_s",
-        kinetic_factor=rate_kinetic_factor,
+        kinetic_factor=lambda rate, speed_m_s: (
+            1.0 + rate * np.log10(np.maximum(speed_m_s, SLOWEST_M_S) / REFERENCE_SPEED_M_S)
+        ),
         unrecorded={"speed_m_s": REFERENCE_SPEED_M_S},
     ),
     ContactMechanism(
@@ -265,7 +227,8 @@ _ENTRIES = (
         "friction along the warp differs from friction along the weft",
         (Parameter("anisotropy", "1", 0.0, 0.05, -0.9, 0.9),),
         covariate="orientation_deg",
-        factor=anisotropy_factor,
+        # The same forth and back.
+        factor=lambda anisotropy, direction_rad: 1.0 + anisotropy * np.cos(2.0 * direction_rad),
         unrecorded={"direction_rad": np.pi / 4},
     ),
     ContactMechanism(
@@ -273,7 +236,8 @@ _ENTRIES = (
         "friction with the nap differs from friction against it",
         (Parameter("nap", "1", 0.0, 0.05, -0.9, 0.9),),
         covariate="orientation_deg",
-        factor=nap_factor,
+        # Sliding back has the other sign.
+        factor=lambda nap, direction_rad: 1.0 + nap * np.cos(direction_rad),
         unrecorded={"direction_rad": np.pi / 2},
     ),
     ContactMechanism(
@@ -286,7 +250,7 @@ _ENTRIES = (
         covariate="repeat_index",
         tested_at=({"wear_r0": 1.0}, {"wear_r0": 2.5}, {"wear_r0": 6.0}),
         starts=({"wear": 0.02, "wear_r0": 1.5}, {"wear": 0.02, "wear_r0": 5.0}),
-        factor=wear_factor,
+        factor=lambda wear, wear_r0, repeats: 1.0 + wear * (1.0 - np.exp(-repeats / wear_r0)),
         unrecorded={"repeats": 0.0},
     ),
     ContactMechanism(
@@ -294,7 +258,9 @@ _ENTRIES = (
         "friction changes with the humidity of the air",
         (Parameter("humidity", "1 per 10 % RH", 0.0, 0.05, -0.15, 0.15),),
         covariate="rh_pct",
-        factor=humidity_factor,
+        factor=lambda humidity, relative_humidity_pct: (
+            1.0 + humidity * (relative_humidity_pct - REFERENCE_HUMIDITY_PCT) / 10.0
+        ),
         unrecorded={"relative_humidity_pct": REFERENCE_HUMIDITY_PCT},
     ),
 )
