@@ -162,23 +162,23 @@ def test_cloth_once_sliding_feels_kinetic_friction():
     assert gained / 0.1 == pytest.approx(expected, rel=1e-4)
 
 
-def test_friction_that_grows_with_speed_gives_the_closed_form_s_terminal_speed():
-    law = FrictionLaw(MU, {"rate": {"rate": 0.2}})
-    slope = math.atan(1.1 * MU)
-    solver = slope_solver(law, slope, speed_m_s=0.02)
-    travelled(solver, 2.0)
-    # tan(slope) = mu (1 + b log10(v / 10 mm/s))
-    assert solver.velocities_m_s[:, 0].mean() == pytest.approx(0.010 * 10 ** (0.1 / 0.2), rel=1e-3)
-
-
-def test_a_curve_over_the_speed_gives_its_terminal_speed():
-    """tan(slope) = mu f(v), f linear in ln v from 0.9 at 2 mm/s to 1.3 at 50 mm/s."""
-    law = FrictionLaw(MU, {}, Curve("speed_m_s", (0.002, 0.05), (0.9, 1.3)))
-    share = math.log(1.1 / 0.9) / math.log(1.3 / 0.9)
+@pytest.mark.parametrize(
+    "law, terminal_m_s",
+    [
+        # tan(slope) = mu (1 + b log10(v / 10 mm/s))
+        (FrictionLaw(MU, {"rate": {"rate": 0.2}}), 0.010 * 10 ** (0.1 / 0.2)),
+        # tan(slope) = mu f(v), the logarithm of f linear in ln v
+        (
+            FrictionLaw(MU, {}, Curve("speed_m_s", (0.002, 0.05), (0.9, 1.3))),
+            0.002 * 25.0 ** (math.log(1.1 / 0.9) / math.log(1.3 / 0.9)),
+        ),
+    ],
+    ids=["mechanism", "curve"],
+)
+def test_friction_that_grows_with_speed_gives_the_closed_form_s_terminal_speed(law, terminal_m_s):
     solver = slope_solver(law, math.atan(1.1 * MU), speed_m_s=0.02)
     travelled(solver, 2.0)
-    expected = 0.002 * 25.0**share
-    assert solver.velocities_m_s[:, 0].mean() == pytest.approx(expected, rel=1e-3)
+    assert solver.velocities_m_s[:, 0].mean() == pytest.approx(terminal_m_s, rel=1e-3)
 
 
 def test_a_curve_over_the_place_stops_a_slide_where_friction_has_grown():
