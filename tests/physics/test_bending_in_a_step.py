@@ -9,6 +9,7 @@ from slipstitch.config.catalogue import fabric_names
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics.cloth import ClothSolver, Conditions, SolverSettings, rectangle
 from slipstitch.physics.cloth.bending import hinge_geometry
+from slipstitch.physics.experiments.specimen import started
 from slipstitch.physics.fabric import CURVATURE_SPACING_PER_M, ElasticTables, load_fabric
 
 SPACING_M = 0.005
@@ -32,17 +33,10 @@ def fold(fabric: str, rule: str, start_m=FLAT_M, gravity_m_s2=0.0) -> ClothSolve
     tables = ElasticTables.of_fabric(load_fabric(fabric))
     bending_N_m = tables.bending_N_m.copy()
     bending_N_m[1] = 1000 * bending_N_m[1].max()  # the third row's own diagonal stays flat
-    solver = ClothSolver(
-        MESH,
-        replace(tables, bending_N_m=bending_N_m),
-        start_m,
-        friction=0.0,
-        fixed=HELD,
-        settings=SolverSettings(bending_stiffness_at=rule, damping_s=0.0),
-        conditions=Conditions(gravity_m_s2=(0.0, 0.0, -gravity_m_s2)),
-    )
-    solver.start()
-    return solver
+    tables = replace(tables, bending_N_m=bending_N_m)
+    settings = SolverSettings(bending_stiffness_at=rule, damping_s=0.0)
+    conditions = Conditions(gravity_m_s2=(0.0, 0.0, -gravity_m_s2))
+    return started(settings, MESH, tables, start_m, HELD, conditions=conditions)
 
 
 def curvatures_under_weight(fabric: str, rule: str, curvature_per_m: float, steps: int):

@@ -5,19 +5,21 @@ import pytest
 
 from slipstitch.base.errors import BadInput
 from slipstitch.physics import GRAVITY_M_S2
-from slipstitch.physics.cloth import ClothSolver, Conditions, SolverSettings, rectangle
+from slipstitch.physics.cloth import Conditions, SolverSettings, rectangle
 from slipstitch.physics.cloth.bending import hinge_geometry
+from slipstitch.physics.experiments.specimen import started
 from slipstitch.physics.fabric import isotropic_tables
 
 HINGE_N_M = 5e-5
 
 
-def _solver(tables, rows=5, columns=5, size_m=0.02, **options):
+UNDAMPED = SolverSettings(damping_s=0.0)
+
+
+def _solver(tables, rows=5, columns=5, size_m=0.02):
     mesh = rectangle(rows, columns, size_m, size_m)
     rest_m = np.column_stack([mesh.rest_uv_m, np.full(mesh.vertex_count, 1.0)])
-    fixed = np.zeros((mesh.vertex_count, 3), bool)
-    solver = ClothSolver(mesh, tables, rest_m, friction=0.3, fixed=fixed, **options)
-    solver.start()
+    solver = started(SolverSettings(), mesh, tables, rest_m, np.zeros(rest_m.shape, bool), 0.3)
     solver._nodes.inverse_step_squared.fill_(0.0)  # forces only, no inertia
     return solver, rest_m
 
@@ -84,15 +86,8 @@ def test_the_tangent_is_the_derivative_of_the_force_where_stress_is_tensile():
     rest_m = np.column_stack([1.05 * mesh.rest_uv_m, np.full(25, 1.0)])
     inner = np.isin(np.arange(25), [6, 7, 8, 11, 12, 13, 16, 17, 18])
     x = rest_m + np.random.default_rng(1).normal(size=rest_m.shape) * 2e-5
-    solver = ClothSolver(
-        mesh,
-        isotropic_tables(0.2, 100.0, 1e-12, 0.3),
-        x,
-        friction=0.3,
-        fixed=np.repeat(~inner[:, None], 3, axis=1),
-        settings=SolverSettings(damping_s=0.0),
-    )
-    solver.start()
+    tables, fixed = isotropic_tables(0.2, 100.0, 1e-12, 0.3), np.repeat(~inner[:, None], 3, axis=1)
+    solver = started(UNDAMPED, mesh, tables, x, fixed, 0.3)
     solver._nodes.inverse_step_squared.fill_(0.0)
     direction = np.where(inner[:, None], np.random.default_rng(2).normal(size=x.shape), 0.0)
     step = 1e-8
@@ -109,22 +104,11 @@ def test_on_a_cylinder_too_the_tangent_of_contact_is_the_derivative_of_its_force
     mesh = rectangle(5, 5, 0.02, 0.02)
     angle = (mesh.rest_uv_m[:, 1] - 0.01) / radius_m
     depth_m = np.random.default_rng(3).uniform(1e-7, 1e-6, 25)
-    x = np.column_stack(
-        [
-            (radius_m - depth_m) * np.sin(angle),
-            mesh.rest_uv_m[:, 0],
-            (radius_m - depth_m) * np.cos(angle) - radius_m,
-        ]
-    )
-    solver = ClothSolver(
-        mesh,
-        isotropic_tables(0.2, 1e-12, 1e-14),
-        x,
-        friction=0.3,
-        fixed=np.zeros((25, 3), bool),
-        settings=SolverSettings(damping_s=0.0),
-        conditions=Conditions(nodal_force_N=1e-5, ground_curvature_per_m=1 / radius_m),
-    )
+    along, up = (radius_m - depth_m) * [np.sin(angle), np.cos(angle)]
+    x = np.column_stack([along, mesh.rest_uv_m[:, 0], up - radius_m])
+    ground = Conditions(nodal_force_N=1e-5, ground_curvature_per_m=1 / radius_m)
+    tables, free = isotropic_tables(0.2, 1e-12, 1e-14), np.zeros((25, 3), bool)
+    solver = started(UNDAMPED, mesh, tables, x, free, 0.3, ground)
     stretch_N = np.random.default_rng(4).normal(size=(25, 2)) * 5e-6
     solver.start(preload_N=stretch_N)
     solver._nodes.inverse_step_squared.fill_(0.0)

@@ -11,7 +11,8 @@ import pytest
 import scipy.linalg
 
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.physics.cloth import ClothSolver, Conditions, SolverSettings, rectangle
+from slipstitch.physics.cloth import Conditions, SolverSettings, rectangle
+from slipstitch.physics.experiments.specimen import started
 from slipstitch.physics.fabric import isotropic_tables
 
 COLUMNS, SPACING_M = 13, 0.005
@@ -26,17 +27,10 @@ def _sheet(motion, damping_s):
     free = np.zeros(rest_m.shape, bool)
     inner = (rest_m[:, 0] > 1.5 * SPACING_M) & (rest_m[:, 0] < rest_m[:, 0].max() - 1.5 * SPACING_M)
     free[inner, MOVES[motion]] = True
-    solver = ClothSolver(
-        mesh,
-        isotropic_tables(0.2, 100.0, 5e-5),
-        rest_m,
-        friction=1.0,
-        fixed=~free,
-        conditions=Conditions(gravity_m_s2=(0.0, 0.0, 0.0)),
-        settings=SolverSettings(damping_s=damping_s, friction_tolerance=1e-8),
-    )
-    solver.start()
-    return solver, rest_m, free
+    settings = SolverSettings(damping_s=damping_s, friction_tolerance=1e-8)
+    weightless = Conditions(gravity_m_s2=(0.0, 0.0, 0.0))
+    tables = isotropic_tables(0.2, 100.0, 5e-5)
+    return started(settings, mesh, tables, rest_m, ~free, 1.0, weightless), rest_m, free
 
 
 def _lowest_mode(motion):

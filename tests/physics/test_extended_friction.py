@@ -1,15 +1,15 @@
 """The extended friction law in the cloth's contact: the same numbers as in NumPy, then motion."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 import warp as wp
 
 from slipstitch.physics import GRAVITY_M_S2
-from slipstitch.physics.cloth import ClothSolver, Conditions, SolverSettings, rectangle
+from slipstitch.physics.cloth import Conditions, SolverSettings, rectangle
 from slipstitch.physics.cloth.friction import ContactState, force_limit
+from slipstitch.physics.experiments.specimen import started
 from slipstitch.physics.fabric import isotropic_tables
 from slipstitch.physics.friction_law import CONTACT_MECHANISMS, Contact, Curve, FrictionLaw
 
@@ -88,15 +88,10 @@ def slope_solver(law, slope_rad, conditions=None, speed_m_s=0.0, rested_s=0.0):
     mesh = rectangle(4, 4, 0.02, 0.02)
     # Laid so that sliding downhill is along -v.
     u, v = mesh.rest_uv_m.T
-    solver = ClothSolver(
-        mesh,
-        isotropic_tables(AREAL_DENSITY_KG_M2, 200.0, 1e-7),
-        np.column_stack([-v, u, 0 * u]),
-        friction=law,
-        fixed=np.zeros((mesh.vertex_count, 3), bool),
-        settings=replace(SolverSettings(), friction_tolerance=1e-7),
-        conditions=conditions,
-    )
+    tables = isotropic_tables(AREAL_DENSITY_KG_M2, 200.0, 1e-7)
+    start_m, free = np.column_stack([-v, u, 0 * u]), np.zeros((mesh.vertex_count, 3), bool)
+    settings = SolverSettings(friction_tolerance=1e-7)
+    solver = started(settings, mesh, tables, start_m, free, law, conditions)
     solver.positions_m[:, 2] = -solver.mass_kg * GRAVITY_M_S2 / solver.contact_stiffness_N_m
     solver.start()
     solver.floor.rest(rested_s)
