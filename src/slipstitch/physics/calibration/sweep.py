@@ -20,14 +20,12 @@ STEPS_OF_SHAPE = 4  # every so many vertices of a shape are kept
 DENSITY_THICKNESS_LENGTH = (0.2, 1.0e-3, 0.2)  # kg/m^2, m, m: as the protocol has them
 
 # What an experiment does not exercise: the grid's mesh, what is recorded, the bench, and the law.
-NOT_NUMERICAL = frozenset(
-    (
-        *("vertices_per_side", "frames", "frame_rate_hz", "stage", "pins", "settle_s"),
-        *("model", "warp", "self_contact", "thickness_m", "layer_friction"),
-        *("yaw_sd_deg", "height_sd_m", "fabric_sd_rel", "natural_curl_per_m"),
-        *("curl_side", "ideal_replicates"),
-    )
-)
+NOT_NUMERICAL = {
+    *("vertices_per_side", "frames", "frame_rate_hz", "stage", "pins", "settle_s"),
+    *("model", "warp", "self_contact", "thickness_m", "layer_friction"),
+    *("yaw_sd_deg", "height_sd_m", "fabric_sd_rel", "natural_curl_per_m"),
+    *("curl_side", "ideal_replicates"),
+}
 
 RunProtocol = Callable[[str, dict[str, Any], SimulationSettings], Mapping[str, Any]]
 
@@ -40,7 +38,7 @@ def gamma_of(young_modulus_Pa: float) -> float:
 
 def verified_settings(simulation: SimulationSettings) -> dict[str, Any]:
     """The numerical settings that the experiments exercise, as JSON can hold them."""
-    return simulation.model_dump(mode="json", exclude=set(NOT_NUMERICAL))
+    return simulation.model_dump(mode="json", exclude=NOT_NUMERICAL)
 
 
 def variations(

@@ -64,13 +64,16 @@ class _Pattern:
         before = column * length - (column == 2)
         return self.block_start[block] + before + row - column
 
+    def entries(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Block, row and column, 0...2 each, of every entry."""
+        block = np.repeat(np.arange(len(self.keys)), 9)
+        r, c = (np.tile(one.ravel(), len(self.keys)) for one in np.mgrid[0:3, 0:3])
+        below = (self.row[block] != self.column[block]) | (r >= c)
+        return block[below], r[below], c[below]
+
     def matrix(self) -> cvxopt.spmatrix:
         """The pattern as a matrix of ones."""
-        block = np.arange(len(self.keys))
-        r, c = (one.ravel() for one in np.mgrid[0:3, 0:3])
-        block, r, c = np.repeat(block, 9), np.tile(r, len(block)), np.tile(c, len(block))
-        below = (self.row[block] != self.column[block]) | (r >= c)
-        block, r, c = block[below], r[below], c[below]
+        block, r, c = self.entries()
         rows = np.empty(self.entry_count, dtype=np.int64)
         columns = np.empty(self.entry_count, dtype=np.int64)
         place = self.entry(block, r, c)
@@ -182,13 +185,10 @@ class Tangent:
     def _entry_map(self) -> np.ndarray:
         """Places in the whole pattern of the entries of the elements' own pattern."""
         own, whole = self._own, self._whole
-        to_block = np.searchsorted(whole.keys, own.keys)
+        block, r, c = own.entries()
         moved = np.empty(own.entry_count, dtype=np.int64)
-        for r in range(3):
-            for c in range(3):
-                block = np.flatnonzero((own.row != own.column) | (r >= c))
-                row, column = np.full(len(block), r), np.full(len(block), c)
-                moved[own.entry(block, row, column)] = whole.entry(to_block[block], row, column)
+        to_block = np.searchsorted(whole.keys, own.keys)
+        moved[own.entry(block, r, c)] = whole.entry(to_block[block], r, c)
         return moved
 
     def _new_pattern(self, node_order: np.ndarray) -> None:

@@ -31,7 +31,6 @@ UNIT_M = 1e-6
 # Farther from the origin float32 tells no micrometres apart.
 FARTHEST_M = 8.0
 COMPRESSION_LEVEL = 19
-_MESH_TYPES = {"rest_positions_m": np.float64, "uv": np.float64, "faces": np.int32}
 FACES_A_VERTEX_MAX = 3  # of a triangle mesh; a file that claims more holds none
 
 
@@ -121,28 +120,30 @@ def write_trajectory(
     )
 
 
+def _mesh_layout(vertices: int, faces: int) -> np.dtype:
+    rest, uv = ("rest_positions_m", "f8", (vertices, 3)), ("uv", "f8", (vertices, 2))
+    return np.dtype([rest, uv, ("faces", "i4", (faces, 3))])
+
+
 def _packed_mesh(trajectory: Trajectory) -> dict:
     """Rest positions, texture coordinates and faces as text: some 15 kB for 41 x 41 vertices."""
-    arrays = (
-        np.asarray(getattr(trajectory, name), dtype=kind) for name, kind in _MESH_TYPES.items()
-    )
-    data = pa.Codec("zstd", 19).compress(b"".join(one.tobytes() for one in arrays), asbytes=True)
-    return {"faces": len(trajectory.faces), "zstd_base64": base64.b64encode(data).decode()}
+    faces = len(trajectory.faces)
+    mesh = np.zeros((), _mesh_layout(len(trajectory.uv), faces))
+    for name in mesh.dtype.names:
+        mesh[name] = getattr(trajectory, name)
+    data = pa.Codec("zstd", 19).compress(mesh.tobytes(), asbytes=True)
+    return {"faces": faces, "zstd_base64": base64.b64encode(data).decode()}
 
 
 def _unpacked_mesh(packed: dict, vertices: int) -> dict:
-    shapes = ((vertices, 3), (vertices, 2), (int(packed["faces"]), 3))
-    sizes = [8 * math.prod(shapes[0]), 8 * math.prod(shapes[1]), 4 * math.prod(shapes[2])]
-    if not 0 < shapes[2][0] <= FACES_A_VERTEX_MAX * vertices:
-        raise ValueError(f"{shapes[2][0]} faces of {vertices} vertices")
-    data = pa.Codec("zstd").decompress(
-        base64.b64decode(packed["zstd_base64"], validate=True), sum(sizes), asbytes=True
-    )
-    mesh, begin = {}, 0
-    for (name, kind), shape, size in zip(_MESH_TYPES.items(), shapes, sizes, strict=True):
-        mesh[name] = np.frombuffer(data[begin : begin + size], dtype=kind).reshape(shape).copy()
-        begin += size
-    return mesh
+    faces = int(packed["faces"])
+    if not 0 < faces <= FACES_A_VERTEX_MAX * vertices:
+        raise ValueError(f"{faces} faces of {vertices} vertices")
+    layout = _mesh_layout(vertices, faces)
+    data = base64.b64decode(packed["zstd_base64"], validate=True)
+    data = pa.Codec("zstd").decompress(data, layout.itemsize, asbytes=True)
+    mesh = np.frombuffer(data, layout)[0]
+    return {name: mesh[name].copy() for name in layout.names}
 
 
 def read_trajectory(path: str | os.PathLike) -> Trajectory:
@@ -186,7 +187,8 @@ def _mesh_of(path: str | os.PathLike, metadata: dict, vertices: int) -> dict:
     if not beside.is_file():
         raise BadInput(f"{path}: not a trajectory: no 'mesh' in its metadata, no mesh.json beside")
     content = read_json(beside)
-    mesh = {name: np.array(content[name], dtype=kind) for name, kind in _MESH_TYPES.items()}
+    kinds = _mesh_layout(1, 1)
+    mesh = {name: np.array(content[name], kinds[name].base) for name in kinds.names}
     if len(mesh["rest_positions_m"]) != vertices:
         raise BadInput(
             f"{path}: {vertices} vertices, but {beside.name} beside has another mesh, of "
