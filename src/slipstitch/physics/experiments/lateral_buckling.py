@@ -102,9 +102,10 @@ def _strip(settings: SimulationSettings, width_over_length: float, held_ends: in
         fixed[-2 * COLUMNS :] = True
     tables = isotropic_tables(AREAL_DENSITY_KG_M2, membrane_N_m, 4 * RIGIDITY_NM)
     weightless = Conditions(gravity_m_s2=(0.0, 0.0, 0.0))
-    # Out of balance by no more than 0.1 % of the sideways weight.
-    changes = {"friction_floor": 10 * SIDE_PUSH, "conditions": weightless}
-    return started(settings, mesh, tables, start_m, fixed, **changes)
+    floor = 10 * SIDE_PUSH  # out of balance by no more than 0.1 % of the sideways weight
+    return started(
+        settings, mesh, tables, start_m, fixed, conditions=weightless, friction_floor=floor
+    )
 
 
 def _sideways_m(solver: ClothSolver, gamma: float, side: float, down: float) -> float:

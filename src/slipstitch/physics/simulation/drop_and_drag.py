@@ -50,12 +50,13 @@ def draw_perturbation(
     """Draw the perturbation of one replicate; the same seed gives the same numbers."""
     random = np.random.default_rng(seed)
     spread = 0.0 if replicate < settings.ideal_replicates else 1.0
-    factors = np.exp(spread * settings.fabric_sd_rel * random.standard_normal(3)).tolist()
+    factors = np.exp(spread * settings.fabric_sd_rel * random.standard_normal(3))
+    density, stretching, bending = factors.tolist()
     yaw_deg = float(spread * settings.yaw_sd_deg * random.standard_normal())
     height_m = float(spread * settings.height_sd_m * random.standard_normal())
     sides = {"drawn": [-1.0, 1.0], "same": [1.0], "alternating": [-1.0 if replicate % 2 else 1.0]}
     curl_per_m = float(settings.natural_curl_per_m * random.choice(sides[settings.curl_side]))
-    return BenchPerturbation(yaw_deg, height_m, *factors, curl_per_m)
+    return BenchPerturbation(yaw_deg, height_m, density, stretching, bending, curl_per_m)
 
 
 @dataclass(frozen=True)
