@@ -10,6 +10,7 @@ from scipy.stats import t as student
 
 from slipstitch.base.errors import BadInput
 from slipstitch.criticise.case import Case
+from slipstitch.criticise.causes import ZEROS
 from slipstitch.criticise.inference.discrepancy import along
 from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.verdict import analyse
@@ -59,6 +60,9 @@ def resimulate(
     measured = measured[measured["run_id"].isin(runs["run_id"])]
     plain = {name: extended_model(verdict, name) for name in MODELS}
     models = {name: model_of(data) for name, data in plain.items()}
+    zeros = {
+        name: _zeros(verdict, name if data["causes"] else "null") for name, data in plain.items()
+    }
     parts = []
     done: dict[str, dict] = {name: {} for name in MODELS}
     for _, run in runs.iterrows():
@@ -74,7 +78,9 @@ def resimulate(
                 done[name][key, law.coefficient] = drag_tracked(
                     law, _sheet(case.nominal, model), key, rows, step_s, frame_rate_hz=5.0
                 )
-            _read_off(frames, done[name][key, law.coefficient], model, run["speed_mm_s"], name)
+            seen = done[name][key, law.coefficient]
+            readings = {**model.readings, **zeros[name]}
+            _read_off(frames, seen, readings, run["speed_mm_s"], name)
         parts.append(frames)
     said = {
         "verdict": verdict["verdict"],
@@ -173,16 +179,36 @@ def _run_of(run: pd.Series, model: ExtendedModel, furthest_mm: float) -> DragRun
     )
 
 
+def _zeros(verdict: dict, name: str) -> dict[str, float]:
+    """What the sensors are off by where the model is right, in SI units.
+
+    Model and zeros are estimated together: a length that the camera reads too large is otherwise
+    taken for a stiffer cloth.
+    """
+    found = verdict["models"][name].get("zeros", {}).get("drop_drag", {})
+    return {
+        field: ZEROS[field].to_si * ZEROS[field].sd * value for field, (value, _) in found.items()
+    }
+
+
 def _read_off(
-    frames: pd.DataFrame, shape: TrackedShape, model: ExtendedModel, speed_mm_s: float, name: str
+    frames: pd.DataFrame, shape: TrackedShape, readings: dict, speed_mm_s: float, name: str
 ) -> None:
-    """What the camera would have read at the frames' stage positions."""
-    late = model.readings.get("time_lag_s", 0.0) * (speed_mm_s if np.isfinite(speed_mm_s) else 0.0)
-    scale = model.readings.get("camera_scale", 1.0)
-    stage = np.maximum(frames["x_stage_mm"].to_numpy() - late, 0.0)
-    for quantity, values in zip(QUANTITIES, (shape.edge_m, shape.contact_m), strict=True):
+    """What the cameras would have read at the frames' stage positions.
+
+    ``readings`` are departures of the instruments: fields of
+    :class:`slipstitch.criticise.causes.Bench`.
+    """
+    speed = speed_mm_s if np.isfinite(speed_mm_s) else 0.0
+    late = readings.get("time_lag_s", 0.0) * speed + 1e3 * readings.get("stage_zero_m", 0.0)
+    scale = readings.get("camera_scale", 1.0)
+    for quantity, values, zero, delay in (
+        ("te_x_mm", shape.edge_m, "edge_zero_m", 0.0),
+        ("contact_len_mm", shape.contact_m, "contact_zero_m", readings.get("contact_delay_s", 0.0)),
+    ):
+        stage = np.maximum(frames["x_stage_mm"].to_numpy() - late - delay * speed, 0.0)
         seen = np.interp(stage, 1e3 * shape.stage_m, 1e3 * values)
-        frames[f"{quantity}_{name}"] = scale * seen
+        frames[f"{quantity}_{name}"] = scale * seen + 1e3 * readings.get(zero, 0.0)
 
 
 def compare(frames: pd.DataFrame, *quantities: str) -> dict:
