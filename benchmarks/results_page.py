@@ -309,7 +309,10 @@ SECTIONS = {
     ),
     "The instrument from every side": ("The same held-out simulations.", instrument_angles),
     "The instrument by fabric and coefficient": ("Simulations held out.", instrument_fabrics),
-    "Height of the clamps": ("The instrument does not know the height.", clamp_height),
+    "Height of the clamps": (
+        "The instrument does not know the height; `--clamp-height-mm` corrects by the first row.",
+        clamp_height,
+    ),
     "Another processor": ("", processors),
     "The simulator against theory": (
         "Settings of the paper's grid, checked before the grid was simulated.",

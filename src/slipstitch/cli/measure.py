@@ -50,6 +50,18 @@ BAD_INPUT_EXIT_CODE = 2
     metavar="HZ",
     help="frame rate of the camera, if the file's timestamps are wrong",
 )
+@option(
+    "--clamp-height-mm",
+    type=float,
+    metavar="MM",
+    help="measured height of the lowered clamps above the substrate: corrects the result",
+)
+@option(
+    "--clamp-height-error-mm",
+    type=float,
+    metavar="MM",
+    help="standard deviation of that height (default: 0.2, as a gauge block sets it)",
+)
 @switch(
     "--force",
     "measure, with an alarm, even if the pose of the camera is outside the training range",
@@ -60,6 +72,8 @@ def measure(arguments: Arguments) -> int:
 
     Exit code 3 if a video raised the alarm, 2 if one of several could not be measured.
     """
+    from dataclasses import replace
+
     from slipstitch.base.provenance import start_clock
     from slipstitch.film.measure import EXAMPLE_CAMERA, EXAMPLE_VIDEO, known_of_example
     from slipstitch.film.measure.measurement_files import measured_pair, write_measurements
@@ -73,6 +87,8 @@ def measure(arguments: Arguments) -> int:
     bench = measuring_bench(
         camera, arguments.model, arguments.config, threads=arguments.threads, force=arguments.force
     )
+    if arguments.clamp_height_mm is not None:
+        bench = replace(bench, clamps=_clamps(arguments, bench))
     pair = measured_pair(
         videos, bench, start_s=arguments.start_s, frame_rate_hz=arguments.frame_rate_hz
     )
@@ -94,6 +110,18 @@ def measure(arguments: Arguments) -> int:
     return ALARM_EXIT_CODE if any(video.alarm_reason for video in pair.videos) else 0
 
 
+def _clamps(arguments: Arguments, bench):
+    """The height of the clamps as told."""
+    from slipstitch.film.measure.clamp_height import GAUGE_BLOCK_M, ClampHeight
+
+    error_mm, path = arguments.clamp_height_error_mm, bench.schedule.path
+    return ClampHeight(
+        1e-3 * arguments.clamp_height_mm,
+        GAUGE_BLOCK_M if error_mm is None else 1e-3 * error_mm,
+        path.start_height_m - path.drop_m,
+    )
+
+
 def _check(arguments: Arguments) -> None:
     if arguments.example:
         if arguments.videos or arguments.camera:
@@ -107,5 +135,12 @@ def _check(arguments: Arguments) -> None:
         if value is not None and not (math.isfinite(value) and value >= lowest):
             least = "at least 0" if lowest == 0 else "greater than 0"
             raise BadInput(f"{flag(name)} {value:g}: must be {least}")
+    if arguments.clamp_height_mm is None and arguments.clamp_height_error_mm is not None:
+        raise BadInput("--clamp-height-error-mm: give --clamp-height-mm with it")
+    if arguments.clamp_height_mm is not None and arguments.model:
+        raise BadInput(
+            "--clamp-height-mm cannot be combined with --model: its effect was measured for the "
+            "instrument that comes with Slipstitch"
+        )
     if arguments.start_s is not None and len(arguments.videos) > 1:
         raise BadInput("--start-s cannot be combined with several videos")

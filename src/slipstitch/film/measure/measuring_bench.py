@@ -15,6 +15,7 @@ from slipstitch.config.train import REFLECTIVE
 from slipstitch.design.sampled_frames import sampled_frames
 from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.measure import SHIPPED
+from slipstitch.film.measure.clamp_height import ClampHeight
 from slipstitch.film.stage_video import StageVideo, problem_of_view, read_stage_video, seen_shares
 from slipstitch.images.camera import POSE, Camera, relative_pose
 from slipstitch.images.camera_file import read_camera_file
@@ -55,7 +56,10 @@ class MeasuredVideo:
     @property
     def notes(self) -> list[str]:
         """What is to be known of the video and of the instrument."""
-        return [*self.video.notes, *self.bench.caveats]
+        notes = [*self.video.notes, *self.bench.caveats]
+        if clamps := self.bench.clamps:
+            notes.append(clamps.note(self.measurement.friction_coefficient))
+        return notes
 
     @property
     def alarm_reason(self) -> str:
@@ -89,10 +93,13 @@ class MeasuredVideo:
 
     def numbers(self) -> dict[str, Any]:
         """The result for a program."""
-        measured, video = self.measurement, self.video
+        measured, video, clamps = self.measurement, self.video, self.bench.clamps
         return {
             "video": self.name,
             "friction_coefficient": measured.friction_coefficient,
+            "clamp_height_mm": clamps and 1e3 * clamps.height_m,
+            "clamp_height_error_mm": clamps and 1e3 * clamps.error_m,
+            "clamp_height_factor": clamps and clamps.factor,
             "uncertainty": None if self.without_error_bar else self.uncertainty,
             "interval_90": list(map(float, measured.interval_90)),
             "distribution": [np.asarray(part).tolist() for part in measured.distribution],
@@ -121,6 +128,7 @@ class MeasuringBench:
     config_path: Path  # the configuration that told which frames to take
     schedule: Schedule
     floors: tuple[str, ...]  # floors of the training
+    clamps: ClampHeight | None = None  # as told; None: as high as the protocol says
 
     @property
     def pose_range(self) -> dict[str, list[float]] | None:
@@ -162,13 +170,13 @@ class MeasuringBench:
         measured = self.instrument.measure(video.frames, np.random.default_rng(0), pose)
         grid, probability = map(np.asarray, measured.distribution)
         factor = self.instrument.conformal_scale
+        uncertainty = _half_width(grid, probability) * (factor if math.isfinite(factor) else 1.0)
+        if self.clamps:
+            measured = self.clamps.corrected(measured)
+            of_height = self.clamps.relative_error * measured.friction_coefficient
+            uncertainty = math.hypot(self.clamps.factor * uncertainty, of_height)
         return MeasuredVideo(
-            Path(path).name,
-            video,
-            measured,
-            _half_width(grid, probability) * (factor if math.isfinite(factor) else 1.0),
-            self,
-            self._keypoints_px(video, measured),
+            Path(path).name, video, measured, uncertainty, self, self._keypoints_px(video, measured)
         )
 
     def _keypoints_px(self, video: StageVideo, measured: Prediction) -> np.ndarray | None:

@@ -1,0 +1,99 @@
+"""A reading corrected for the height of the clamps."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from support.refusal import refused
+
+from slipstitch.base.errors import BadInput
+from slipstitch.cli.main import main
+from slipstitch.film.measure import clamp_height
+from slipstitch.film.measure.clamp_height import ClampHeight
+from slipstitch.learning.prediction import Prediction
+
+MEASURED = Path(__file__).parents[2] / "results/published/camera/clamp_height.json"
+GRID = np.linspace(0.0, 1.75, 176)
+
+
+def reading(mu=0.6, interval=(0.5, 0.72)):
+    shares = np.exp(-0.5 * ((GRID - mu) / 0.06) ** 2)
+    return Prediction(mu, (GRID, shares / shares.sum()), interval)
+
+
+def clamps(height_mm, error_mm=0.2):
+    return ClampHeight(1e-3 * height_mm, 1e-3 * error_mm, 0.15)
+
+
+def test_its_constants_are_the_published_ones():
+    found = json.loads(MEASURED.read_text())["all"]
+    constants = (clamp_height.READING_PER_M, clamp_height.READING_PER_M_SD)
+    per_mm = (found["error_per_mm"], found["error_per_mm_sd"])
+    assert constants == tuple(round(1e3 * value, 1) for value in per_mm)
+    assert found["height_sd_mm"] > 0.4 * 1e3 * clamp_height.FURTHEST_M
+
+
+def test_half_of_its_simulations_correct_the_other_half():
+    found = json.loads(MEASURED.read_text())
+    for one, other in (("first", "second"), ("second", "first")):
+        left = found[other]["error_per_mm"] - found[one]["error_per_mm"]
+        assert abs(left * found[other]["height_sd_mm"]) < 0.015
+
+
+def test_a_reading_at_clamps_too_high_is_raised():
+    found = clamps(151).corrected(reading())
+    assert found.friction_coefficient == pytest.approx(0.6 / (1 - 0.0684))
+    assert clamps(149).corrected(reading()).friction_coefficient == pytest.approx(0.6 / 1.0684)
+    grid, shares = found.distribution
+    assert grid is GRID
+    assert shares.sum() == pytest.approx(1)
+    assert np.interp(0.5, np.cumsum(shares), grid) == pytest.approx(0.6 / (1 - 0.0684), abs=0.01)
+
+
+def test_at_the_right_height_only_its_error_is_added():
+    found = clamps(150, 0.5).corrected(reading())
+    assert found.friction_coefficient == pytest.approx(0.6)
+    added = 1.645 * 0.0684 * 0.5 * 0.6
+    assert found.interval_90 == pytest.approx(
+        (0.6 - np.hypot(0.1, added), 0.6 + np.hypot(0.12, added)), abs=1e-4
+    )
+
+
+def test_an_interval_stays_within_the_grid_and_a_cut_end_stays_cut():
+    found = clamps(151.5).corrected(reading(1.7, (1.6, 1.75)))
+    assert found.friction_coefficient == found.interval_90[1] == 1.75
+    assert clamps(149).corrected(reading(0.6, (0.0, 1.75))).interval_90 == (0.0, 1.75)
+
+
+@pytest.mark.parametrize(
+    ("height_mm", "error_mm", "says"),
+    [
+        (15.02, 0.2, "clamp height 15.02 mm: must be from 148 to 152 mm"),
+        (0.15, 0.2, "clamp height 0.15 mm: must be from 148 to 152 mm"),
+        (float("nan"), 0.2, "clamp height nan mm"),
+        (150.4, 0.0, "error of the clamp height 0 mm: must be above 0 and at most 2 mm"),
+        (150.4, float("inf"), "error of the clamp height inf mm"),
+    ],
+)
+def test_another_unit_and_no_error_are_refused(height_mm, error_mm, says):
+    with pytest.raises(BadInput, match=says):
+        clamps(height_mm, error_mm)
+
+
+def test_the_command_refuses_what_it_cannot_use(tmp_path, capsys):
+    words = ["measure", "--example", "--clamp-height-error-mm", "0.2"]
+    assert "give --clamp-height-mm with it" in refused(capsys, words)
+    words = ["measure", "--example", "--clamp-height-mm", "151", "--model", str(tmp_path)]
+    assert "cannot be combined with --model" in refused(capsys, words)
+
+
+def test_the_result_says_what_was_told_and_what_it_does(tmp_path, capsys):
+    files = ["--out", str(tmp_path / "page.html"), "--json", str(tmp_path / "numbers.json")]
+    assert main(["measure", "--example", "--clamp-height-mm", "150.5", *files]) == 0
+    told = "clamps at 150.5 ± 0.2 mm as told, +0.5 mm from the protocol: the reading"
+    assert f"note: {told}" in capsys.readouterr().out
+    assert f"C{told[1:]}" in (tmp_path / "page.html").read_text()
+    numbers = json.loads((tmp_path / "numbers.json").read_text())
+    assert numbers["clamp_height_mm"] == pytest.approx(150.5)
+    assert numbers["clamp_height_factor"] == pytest.approx(1 / (1 - 0.0342))
