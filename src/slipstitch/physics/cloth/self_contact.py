@@ -221,14 +221,8 @@ def clear_parts(
 class SelfContact:
     """Contact of one sheet with itself.
 
-    Parameters
-    ----------
-    thickness_m : float
-        Distance at which two layers begin to push each other; well under the mesh's spacing.
-    stiffness_N_m : float
-        Of one pair, normal and tangential.
-    friction : float
-        Friction coefficient between layers.
+    Two layers begin to push each other at a distance, the thickness, well under the mesh's spacing.
+    The stiffness is that of one pair, normal and tangential.
     """
 
     def __init__(
@@ -280,10 +274,10 @@ class SelfContact:
         if np.array_equal(keys, self._keys):
             return
         anchors = np.full((len(keys), 2), np.nan)
-        if len(self._keys) and len(keys):
-            place = np.searchsorted(keys, self._keys).clip(max=len(keys) - 1)
-            kept = keys[place] == self._keys
-            anchors[place[kept]] = self.pairs.anchors.numpy()[kept]
+        _, place, earlier = np.intersect1d(
+            keys, self._keys, assume_unique=True, return_indices=True
+        )
+        anchors[place] = self.pairs.anchors.numpy()[earlier]
         self._set_pairs(keys, anchors)
 
     def _set_pairs(self, keys: np.ndarray, anchors: np.ndarray) -> None:
