@@ -51,13 +51,10 @@ class DemandNotMet(SlipstitchError):  # noqa: N818 - says what happened, as the 
 def judge(trial: Mapping[str, Any]) -> Trial:
     """Sum up the runs with one choice of settings, see `sweep.sweep`.
 
-    Returns
-    -------
-    dict
-        The trial, with ``strain_error`` and ``friction_error`` (the largest of the runs that slip;
-        None if none could be compared), ``wrong_regimes`` (count; a run that was not solved is
-        wrong), ``meets``, ``distance`` (largest error over its limit, infinite with a wrong
-        regime), ``newton_iterations`` x vertices as ``work``, and ``cpu_s``.
+    Adds ``strain_error`` and ``friction_error`` (the largest of the runs that slip; None if none
+    could be compared), ``wrong_regimes`` (count; a run that was not solved is wrong), ``meets``,
+    ``distance`` (largest error over its limit, infinite with a wrong regime), ``newton_iterations``
+    x vertices as ``work``, and ``cpu_s``.
     """
     runs = trial["runs"]
     right = [run for run in runs if run["regime"] == run["theory_regime"]]
@@ -125,11 +122,8 @@ def describe(trial: Mapping[str, Any]) -> str:
 def calibrate(simulation: SimulationSettings, run_protocol: RunProtocol) -> dict[str, Any]:
     """Run every experiment with the numerical settings to verify, by `registry.run_protocol`.
 
-    Returns
-    -------
-    dict
-        ``settings`` (verified), ``met`` (all of them), ``checks`` (see `checks.Experiment.run`)
-        and ``experiments`` (protocol, options, result and wall time in s of each run).
+    Returns ``settings`` (verified), ``met`` (all of them), ``checks`` (see `checks.Experiment.run`)
+    and ``experiments`` (protocol, options, result and wall time in s of each run).
     """
     checks, runs = [], []
     for experiment in progress(experiments(), unit="experiment"):
@@ -176,11 +170,8 @@ def write_calibration(calibration: Mapping[str, Any], path: str | os.PathLike, r
 def strip_calibration(trials: list[dict[str, Any]]) -> dict[str, Any]:
     """Choose settings by the pushed strip, from what `sweep.sweep` returned of all keys.
 
-    Returns
-    -------
-    dict
-        ``demand``, ``trials`` (judged), ``chosen`` (one of them, with the strips' shapes) and
-        ``not_told`` (what the strip does not tell).
+    Returns ``demand``, ``trials`` (judged), ``chosen`` (one of them, with the strips' shapes) and
+    ``not_told`` (what the strip does not tell).
     """
     judged = [judge(trial) for trial in trials]
     base = next(trial for trial in judged if trial["key"] == BASE)

@@ -53,14 +53,9 @@ def draw_pictures(
 ) -> None:
     """Draw what a calibration holds; of one that chose no settings, those that were tried.
 
-    Parameters
-    ----------
-    pictures : mapping
-        PNG or SVG files by name: ``checks``, ``strip``, ``settings``.
-    calibration : mapping
-        What `calibration.calibrate_to_file` returns, or its ``strip`` alone.
-    failed : bool
-        Whether a requirement is not met: then ``.failed`` stands before the suffix.
+    The pictures are PNG or SVG files by name: ``checks``, ``strip``, ``settings``. The calibration
+    is what `calibration.calibrate_to_file` returns, or its ``strip`` alone. Where a requirement is
+    not met, ``failed``, the word stands before the suffix.
     """
     figures = {"settings": settings_figure}
     if "chosen" in calibration["strip"]:

@@ -95,11 +95,8 @@ def sweep(
 ) -> list[dict[str, Any]]:
     """Push the strip with all settings of one key (see `variations`); one line each on stderr.
 
-    Returns
-    -------
-    list of dict
-        ``key``, ``settings`` and ``runs``: per fabric and friction coefficient what came out, what
-        theory says, the Newton iterations and CPU seconds it took.
+    Each result has ``key``, ``settings`` and ``runs``: per fabric and friction coefficient what
+    came out, what theory says, the Newton iterations and CPU seconds it took.
     """
     results = []
     for tried in progress(variations(key, settings, simulation), unit="setting"):

@@ -30,12 +30,7 @@ STIFFNESS_RULES = {"end": 0, "start": 1, "rising": 2}
 
 
 def hinge_geometry(mesh: ClothMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Rest length l (m), rest area a0 + a1 (m^2), and position in the direction rows (0...2).
-
-    Returns
-    -------
-    length_m, area_m2, direction : ndarray, shape (H,)
-    """
+    """Rest length l (m), rest area a0 + a1 (m^2), and position in the direction rows (0...2)."""
     start, end, first, second = (mesh.rest_uv_m[mesh.hinges[:, k]] for k in range(4))
     edge = end - start
     length_m = np.linalg.norm(edge, axis=1)

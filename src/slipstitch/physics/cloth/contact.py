@@ -71,14 +71,9 @@ def ground_point(p: wp.vec3d, curvature: wp.float64) -> GroundPoint:
 
 
 def ground_coordinates(x: np.ndarray, curvature: float) -> tuple[np.ndarray, np.ndarray]:
-    """Do what `ground_point` does for many points (n, 3), in NumPy.
+    """Coordinates of many points (n, 3) along, across, above the ground, as `ground_point`.
 
-    Returns
-    -------
-    coordinates : ndarray, shape (n, 3)
-        Along, across, above (m).
-    frames : ndarray, shape (n, 3, 3)
-        Rows: unit vectors along, across, above.
+    And frames (n, 3, 3): rows are the unit vectors along, across, above.
     """
     frames = np.broadcast_to(np.eye(3), (len(x), 3, 3)).copy()
     if curvature == 0:

@@ -161,11 +161,8 @@ class Tangent:
     def couple(self, contacts: np.ndarray) -> tuple[wp.array, wp.array]:
         """Make room for contacts (N, 4), each of which couples four nodes.
 
-        Returns
-        -------
-        place, column_length : wp.array of int32, shape (N, 10)
-            Of the node pairs (a, b), b <= a, row by row: where the block's first column
-            starts, and how long that column is.
+        Returns, shape (N, 10), of the node pairs (a, b), b <= a, row by row: where the block's
+        first column starts, and how long that column is.
         """
         keys = np.union1d(self._own.keys, self._assembly.pair_keys(contacts))
         whole = self._whole = _Pattern(keys, self._assembly.node_count)

@@ -218,11 +218,8 @@ def _is_steady(places_m: np.ndarray, time_s: np.ndarray) -> np.ndarray:
 def _least_mean_distance(first, second, time_s) -> tuple[np.ndarray, ...]:
     """Of each moment of the first from the second's way 2 s before and after.
 
-    Returns
-    -------
-    least_m, later_s, bend_m : ndarray, shape (T,)
-        Distance, how much later that is, and what a straight line from frame to frame leaves out of
-        the way there: an eighth of the second difference, if the acceleration is constant.
+    Distance, how much later that is, and what a straight line from frame to frame leaves out of the
+    way there: an eighth of the second difference, if the acceleration is constant; each (T,).
     """
     frames = len(time_s)
     frame_s = time_s[1] - time_s[0] if frames > 1 else 1.0
@@ -256,11 +253,8 @@ def _for_good(time_s: np.ndarray, value: np.ndarray) -> float | None:
 def comparisons(config: Config, runs: Mapping[str, Trajectory]) -> list[dict[str, Any]]:
     """Every run, by id of its case, against the finest of its kind.
 
-    Returns
-    -------
-    list of dict
-        `compare`'s, with ``material``, ``friction``, ``kind`` (time step or mesh),
-        ``time_step_s``, ``vertices_per_side`` and ``finest`` (the id compared with).
+    As `compare`, with ``material``, ``friction``, ``kind`` (time step or mesh), ``time_step_s``,
+    ``vertices_per_side`` and ``finest`` (the id compared with).
     """
     here, found = [case for case in cases(config) if case.id in runs], []
     for chosen in here:
@@ -290,15 +284,11 @@ def comparisons(config: Config, runs: Mapping[str, Trajectory]) -> list[dict[str
 def summary(compared: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """The summary for the metadata of simulations: the chosen settings, pair by pair.
 
-    Returns
-    -------
-    list of dict
-        ``material, friction, time_step, mesh, verdict``; the third and fourth hold
-        ``finest`` (what was compared with), ``mean_m, mean_largest_m, worst_m, shifted_mean_m,
-        shifted_largest_m, steady_largest_m, worst_shift_s, event_shift_s`` (the largest),
-        ``events_missing`` (those that happen in one of the two runs only) and a ``verdict`` of
-        their own, or are None where not studied. The verdict of both is the worse one, None if
-        nothing speaks against convergence and not both were studied.
+    A row has ``material, friction, time_step, mesh, verdict``; the third and fourth hold
+    `SUMMARISED` numbers, ``event_shift_s`` (the largest), ``events_missing`` (those that happen in
+    one of the two runs only) and a ``verdict`` of their own, or are None where not studied. The
+    verdict of both is the worse one, None if nothing speaks against convergence and not both were
+    studied.
     """
     rows: dict[tuple[str, float], dict] = {}
     for comparison in compared:

@@ -53,13 +53,6 @@ def capstan(settings: SimulationSettings, friction: float, wrap_deg: float) -> d
     dict
         ``tension_ratio``, ``theory_tension_ratio``, and ``bending_over_tension``, B/(T R²) at
         the held end.
-
-    Raises
-    ------
-    BadInput
-        The ratio would be too large.
-    NotConverged
-        Part of the strip sticks however far it is pulled.
     """
     wrap = radians(wrap_deg)
     expected = capstan_theory(friction, wrap)

@@ -87,12 +87,7 @@ def run_protocol(
 ) -> dict[str, Any]:
     """Run one experiment, a key of `PROTOCOLS`, with options by name.
 
-    Raises
-    ------
-    BadInput
-        Unknown experiment or option, a missing one, or a value out of range.
-    NotConverged
-        The solver did not converge.
+    BadInput if experiment or option is unknown, an option is missing, or a value out of range.
     """
     if name not in PROTOCOLS:
         raise BadInput(f"unknown protocol {name!r}; allowed: {', '.join(PROTOCOLS)}")

@@ -23,25 +23,13 @@ Motion = Callable[[float], np.ndarray]  # positions (V, 3) at a time, as for `Cl
 
 @dataclass(frozen=True)
 class Demand:
-    """The largest error of one measured value.
+    """The largest error of one measured value; words must be equal."""
 
-    Attributes
-    ----------
-    key : str
-        Of the result. Words must be equal.
-    allowed : float
-        Largest error, of theory's value if `relative`, else in the value's unit.
-    zero : float
-        What counts as 0 where theory says 0.
-    theory : float or None
-        None: what the result has under ``theory_<key>``.
-    """
-
-    key: str
-    allowed: float = 0.0
-    relative: bool = True
-    zero: float = 0.0
-    theory: float | None = None
+    key: str  # of the result
+    allowed: float = 0.0  # largest error, in the value's unit if not relative
+    relative: bool = True  # to theory's value
+    zero: float = 0.0  # what counts as 0 where theory says 0
+    theory: float | None = None  # None: what the result has under ``theory_<key>``
 
     def expected(self, result: Mapping[str, Any]) -> Any:
         """Theory's value."""

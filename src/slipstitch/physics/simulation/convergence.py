@@ -77,13 +77,10 @@ def measured_convergence(
 ) -> dict[str, Any] | None:
     """What is known of a run: of its own fabric, at its coefficient or those on either side.
 
-    Returns
-    -------
-    dict or None
-        ``table_sha256`` (of the summary: a newer one may say something else), ``studied``
-        (time_step_s, window_s, mean_distance_m), ``differ`` (the settings for which it does not
-        speak), ``cases`` (what was found, see `study.summary`), ``verdict`` (the worse of them;
-        None: not known) and ``note`` in words. None without a study.
+    ``table_sha256`` (of the summary: a newer one may say something else), ``studied`` (time_step_s,
+    window_s, mean_distance_m), ``differ`` (the settings for which it does not speak), ``cases``
+    (what was found, see `study.summary`), ``verdict`` (the worse of them; None: not known) and
+    ``note`` in words. None without a study.
     """
     study = read_study(measured)
     if study is None:

@@ -89,7 +89,7 @@ def simulate_drop_and_drag(
     Returns
     -------
     trajectory : Trajectory
-        World positions at the recorded frames, rounded to a micrometre as files hold them.
+        Positions rounded to a micrometre, as files hold them.
     columns : dict
         ``newton_iterations`` (T,) and ``residual`` (T,) since the frame before: the sum, and
         the largest relative out-of-balance force of an accepted step.

@@ -75,13 +75,8 @@ def simulate_to_file(
     device, handed_out : optional
         Instead of the configured ones.
     calibration : path, optional
-        The file that settings were taken from, for the record.
-
-    Returns
-    -------
-    trajectory : Trajectory
-    record : dict
-        Its provenance; under ``handed_out`` where it was taken from, if it was.
+        The file that settings were taken from, for the record, which is returned with the run; it
+        says under ``handed_out`` where the run was taken from, if it was.
     """
     started = start_clock()
     settings = config.simulation
@@ -125,14 +120,9 @@ def take_handed_out(
 ) -> tuple[Trajectory, dict[str, np.ndarray], dict[str, Any]] | None:
     """Read a run from a folder of simulations or from a release; None if no file claims to be it.
 
-    BadInput if two files do, or the one that does is damaged or of other settings.
-
-    Returns
-    -------
-    trajectory, columns
-        As `drop_and_drag.simulate_drop_and_drag` returns them.
-    origin : dict
-        For the record: ``file``, its ``sha256``, and its own ``provenance``.
+    BadInput if two files do, or the one that does is damaged or of other settings. Returns what
+    `drop_and_drag.simulate_drop_and_drag` does, and its origin for the record: ``file``, its
+    ``sha256``, and its own ``provenance``.
     """
     claims = [
         path
