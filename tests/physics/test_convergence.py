@@ -134,16 +134,13 @@ def test_what_happens_at_another_time_is_told_from_what_is_something_else(run, v
     assert {row["verdict"] for row in rows if row is not found} == {"converged"}
 
 
-def test_events_are_told_by_the_motion():
+def test_events_are_told_by_the_motion_stroke_by_stroke():
     found = events(made_up_run())
     assert found["landing"] == pytest.approx(1.9, abs=0.01)
     assert found["flip"] == pytest.approx(12.0, abs=0.06)
     # v = a t on the ramp: 2 mm after sqrt(2 * 0.002 / 0.01) s.
     assert found["slip"] == pytest.approx(7 + np.sqrt(0.4), abs=0.02)
     assert events(made_up_run(late_s=100.0))["flip"] is None  # it does not roll over
-
-
-def test_every_stroke_has_its_own_events():
     run = made_up_run()
     found = events(replace(run, time_s=run.time_s * 3))  # to 60 s, the flip at 36 s
     assert {"slip", "flip", "slip 2", "flip 2"} < set(found) and "flip 3" not in found

@@ -140,31 +140,23 @@ def _one_byte(folder):
     path.write_bytes(data)
 
 
-def _one_byte_of_a_listed_file(folder):
-    apart(folder)
-    _one_byte(folder)
+def _apart_and(then):
+    def change(folder):
+        apart(folder)
+        then(folder)
+
+    return change
 
 
-def _no_list(folder):
-    apart(folder)
-    (folder / "SHA256SUMS").unlink()
+def _another_mesh(folder):
+    mesh = (folder / "mesh.json").read_text()
+    (folder / "mesh.json").write_text(mesh.replace("0.1]", "0.11]"))
 
 
-def _mesh_beside_of_others(folder):
-    apart(folder)
-    other = synthetic_cloth.mesh_text(read_trajectory(folder / f"{FIRST}.parquet"))
-    (folder / "mesh.json").write_text(other.replace("0.1]", "0.11]"))
-
-
-def _another_size_of_mesh_beside(folder):
-    apart(folder)
-    first = json.loads((folder / "mesh.json").read_text())
-    first["rest_positions_m"].pop()
-    (folder / "mesh.json").write_text(json.dumps(first))
-
-
-def _twice(folder):
-    shutil.copy2(folder / f"{FIRST}.parquet", folder / "n.parquet")
+def _another_size_of_mesh(folder):
+    mesh = json.loads((folder / "mesh.json").read_text())
+    mesh["rest_positions_m"].pop()
+    (folder / "mesh.json").write_text(json.dumps(mesh))
 
 
 def _states(**changes):
@@ -184,25 +176,22 @@ def _states(**changes):
     return change
 
 
-def _empty(folder):
-    for path in folder.iterdir():
-        path.unlink()
-
-
 REFUSED = {
     _one_byte: "damaged",
-    _one_byte_of_a_listed_file: "damaged",
-    _no_list: "cannot be checked: no SHA256SUMS beside lists it",
-    _mesh_beside_of_others: "another mesh",
-    _another_size_of_mesh_beside: "49 vertices, but mesh.json beside has another mesh, of 48",
-    _twice: f"claims to be {FIRST}, and so does n.parquet",
+    _apart_and(_one_byte): "damaged",
+    _apart_and(lambda folder: (folder / "SHA256SUMS").unlink()): "no SHA256SUMS beside lists it",
+    _apart_and(_another_mesh): "another mesh",
+    _apart_and(_another_size_of_mesh): "49 vertices, but mesh.json beside has another mesh, of 48",
+    lambda folder: shutil.copy2(folder / f"{FIRST}.parquet", folder / "n.parquet"): (
+        f"claims to be {FIRST}, and so does n.parquet"
+    ),
     _states(friction=0.4): "friction 0.4, not 0.3",
     _states(settings={"damping_s": 0.1}): "damping_s 0.1, not 0.002",
     _states(settings={"new": 1}): "new 1, not stated",
     _states(perturbation={"yaw_deg": 9.0}): "another perturbation of the bench",
     _states(extended_model={"law": 1}): "another extended model",
     _states(catalogue="other"): "another fabric data",
-    _empty: "has no simulations",
+    lambda folder: [path.unlink() for path in folder.iterdir()]: "has no simulations",
     shutil.rmtree: "no such folder",
 }
 

@@ -1,11 +1,17 @@
-"""The pushed strip of Sano et al. 2017 against its closed form and the published figures."""
+"""The pushed strip of Sano et al. 2017 and the strip that lands: closed forms and figures."""
 
 import math
 
 import numpy as np
 import pytest
+from scipy.integrate import trapezoid
 from scipy.special import ellipeinc, ellipk, ellipkinc
 
+from slipstitch.physics.experiments.landed_strip import (
+    _flat_foot,
+    landed_strip_slip_strain,
+    landed_strip_theory,
+)
 from slipstitch.physics.experiments.strip import (
     strip_buckling_load,
     strip_slip_strain,
@@ -76,3 +82,27 @@ def test_shape_has_the_strips_length_and_its_foot_under_the_clamp():
 
 def test_state_at_the_slip_strain_needs_exactly_that_friction():
     assert strip_state(strip_slip_strain(0.2)).load_ratio == pytest.approx(0.2, abs=1e-7)
+
+
+@pytest.mark.parametrize("friction", [0.05, 0.2, 0.3])
+def test_without_weight_it_is_the_pushed_strip(friction):
+    expected = strip_slip_strain(friction)
+    assert landed_strip_slip_strain(friction, 0.0) == pytest.approx(expected, abs=1e-5)
+    flat = strip_state_at_foot_angle(np.pi / 2)
+    assert landed_strip_theory(0.0).load_ratio == pytest.approx(flat.load_ratio, abs=1e-5)
+
+
+@pytest.mark.parametrize("gamma, threshold", [(10.0, 0.3802), (100.0, 0.4272), (1000.0, 0.3960)])
+def test_thresholds_of_the_physics_page(gamma, threshold):
+    assert landed_strip_theory(gamma).load_ratio == pytest.approx(threshold, abs=2e-4)
+    assert landed_strip_slip_strain(threshold + 1e-3, gamma) is None
+    assert landed_strip_slip_strain(threshold - 1e-3, gamma) > 0
+
+
+def test_forces_and_moments_on_the_whole_strip_balance():
+    """Moment at the clamp: Q at the foot's depth less the weight at its lever."""
+    gamma = 300.0
+    station, (_, curvature, across, down), (_, horizontal) = _flat_foot(gamma)
+    moment = horizontal * down[-1] - gamma * trapezoid(across, station)
+    assert curvature[0] == pytest.approx(moment, abs=1e-3 * abs(curvature).max())
+    assert curvature[-1] == pytest.approx(0.0, abs=1e-6)

@@ -64,11 +64,15 @@ def test_a_file_holds_everything_and_is_small(tmp_path):
     assert path.stat().st_size < MOTION.positions_m.nbytes / 3  # here much of it is the mesh
 
 
+def written_with(metadata, path):
+    write_trajectory(path, MOTION)
+    table = pq.read_table(path)
+    pq.write_table(table.replace_schema_metadata({"slipstitch": json.dumps(metadata)}), path)
+
+
 def test_a_mesh_may_stand_beside_in_a_file_of_its_own(tmp_path):
     path, mesh = tmp_path / "x.parquet", tmp_path / "mesh.json"
-    write_trajectory(path, MOTION)
-    table = pq.read_table(path).replace_schema_metadata({"slipstitch": "{}"})
-    pq.write_table(table, path)
+    written_with({}, path)
     with pytest.raises(BadInput, match=r"no 'mesh' in its metadata, no mesh\.json beside"):
         read_trajectory(path)
     mesh.write_text(synthetic_cloth.mesh_text(MOTION))
@@ -107,11 +111,7 @@ def test_a_changed_byte_is_noticed_or_changes_nothing(place, tmp_path):
 )
 def test_a_mesh_that_is_none_is_one_line(change, tmp_path):
     path = tmp_path / "x.parquet"
-    write_trajectory(path, MOTION)
-    table = pq.read_table(path).replace_schema_metadata(
-        {"slipstitch": json.dumps({"mesh": change})}
-    )
-    pq.write_table(table, path)
+    written_with({"mesh": change}, path)
     with pytest.raises(BadInput, match="not a trajectory"):
         read_trajectory(path)
 
