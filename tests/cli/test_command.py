@@ -187,14 +187,8 @@ UNWRITABLE = [
     ("ablate --config x --summary x --out x", "x: must end in .json"),
     ("sample --config x.yaml --out-dir {file} x.parquet", "is a file; must be a folder"),
     ("capture check camera.json --picture /proc/x.png", "/proc/x.png: cannot be written: "),
-    (
-        "capture reference {folder}/file.csv --out {folder}/x/../file.csv",
-        "/x/../file.csv: the command reads this file",
-    ),
-    (
-        "criticise {folder} --out v.json --resimulate ./v.json",
-        "--resimulate v.json: is the file of --out, too",
-    ),
+    ("capture reference {folder}/a.csv --out {folder}/x/../a.csv", ": the command reads this file"),
+    ("criticise {folder} --out v.json --resimulate ./v.json", "v.json: is the file of --out, too"),
     ("audit {folder} --config c.json --json c.json", "--json c.json: the command reads this file"),
 ]
 
@@ -214,6 +208,7 @@ def test_what_cannot_be_written_is_refused_before_any_work(words, reason, tmp_pa
 BY_HAND = "simulate --material gray-interlock --friction 0.3 --out x.parquet"
 CONFIG = "--config config.yaml"
 OF_GRID = f"simulate {CONFIG} --out x.parquet --simulation m05_f0300_r00"
+RENDERED = f"render {CONFIG} --trajectory config.yaml --out a.parquet"
 TWO_VIEWS = f"render {CONFIG} --trajectory config.yaml --viewpoint v00 v01"
 BOARD = "capture camera --squares 10x7 --square-mm 20 --out c.json view.png"
 CAPTURES = (
@@ -224,10 +219,7 @@ CONTRADICTIONS = [
     ("calibrate --draw c.json --out o.json", "--out cannot be combined with --draw"),
     ("calibrate --draw c.json", "--draw requires --picture"),
     (f"calibrate {CONFIG} --out o.json --only-failures", "--only-failures requires a picture"),
-    (
-        f"calibrate {CONFIG} --out o.json --sweep base --picture p.png",
-        "--picture cannot be combined with --sweep",
-    ),
+    (f"calibrate {CONFIG} --out o.json --sweep base --picture p.png", "combined with --sweep"),
     (f"{BY_HAND} --simulation m05_f0300_r00", "--material cannot be combined with --sim"),
     (f"{OF_GRID} --seed 0", "--seed cannot be combined with --simulation"),
     (f"{OF_GRID} m05_f0600_r00 --out x.parquet", "--out: names a file twice"),
@@ -236,6 +228,8 @@ CONTRADICTIONS = [
     ("render --verify --out-dir d x.parquet", "--out-dir cannot be combined with"),
     ("render --from-shading p --packs d", "--packs cannot be combined with --from"),
     ("render --shading p.parquet --out x.json", "--out cannot be combined with --shading"),
+    (RENDERED, "rendering requires --viewpoint"),
+    (f"{RENDERED} --viewpoint v00 --out-sheet a.png", "cannot be combined with rendering"),
     (f"{TWO_VIEWS} --shading a.parquet", "--shading requires one file for each --viewpoint"),
     (f"{TWO_VIEWS} --shading a.parquet a.parquet", "--shading requires one file for each"),
     (f"{TWO_VIEWS} --out a.parquet", "--out takes images of one --viewpoint"),
@@ -243,21 +237,19 @@ CONTRADICTIONS = [
     ("audit r --explain c --rebuild c", "--rebuild cannot be combined with --ex"),
     ("audit r --explain c --json a.json", "--json cannot be combined with --ex"),
     ("audit r --rebuild c --page a.html", "--page cannot be combined with --re"),
-    (
-        "criticise case --out v.json --power --model m.yaml",
-        "--model cannot be combined with --power",
-    ),
+    ("criticise case --out v.json --power --model m.yaml", "--model cannot be combined with --po"),
     ("criticise case --out - --validate new", "-: must end in .json"),
     (f"{BOARD} --place-mm 0 0", "--place-mm requires --stage-view"),
-    (
-        f"{BOARD} --dictionary DICT_4X4_50",
-        "--dictionary cannot be combined with --board checkerboard",
-    ),
+    (f"{BOARD} --dictionary DICT_4X4_50", "--dictionary cannot be combined with --board check"),
     (f"{MEASURE} b.mp4 --start-s 0", "--start-s cannot be combined with several videos"),
+    ("measure", "no video: give one, or --example"),
+    ("measure film.mp4", "--camera FILE is required"),
+    ("measure --example film.mp4", "--example has its own video and camera: give neither with it"),
+    ("measure --example --camera c.json", "--example has its own video and camera"),
     (f"{MEASURE} --frame-rate-hz 0", "--frame-rate-hz 0: must be greater than 0"),
     (
         "protocol incline --friction 1 --slope-deg 90 --out x.json",
-        "--slope-deg must be at least 0 and at most 89.99, not 90",
+        "--slope-deg must be at least 0 ",
     ),
 ]
 

@@ -20,7 +20,7 @@ import yaml
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from safetensors.torch import save_file
-from support import fuzzing
+from support import analytic_stage, fuzzing
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import (
@@ -113,14 +113,6 @@ def test_no_reader_runs_a_pickle(readers, tmp_path):
     assert not sprung.exists()
 
 
-def test_weights_that_are_a_pickle_are_refused(tmp_path):
-    (tmp_path / "model.json").write_text('{"format": "slipstitch-lrcn-2"}')
-    (tmp_path / "model.safetensors").write_bytes(pickle.dumps(Trap(str(tmp_path / "sprung"))))
-    with pytest.raises(BadInput, match="altered or damaged"):
-        load_model(tmp_path)
-    assert not (tmp_path / "sprung").exists()
-
-
 @pytest.mark.slow
 def test_weights_of_another_shape_than_the_card_says_are_refused(tmp_path, readers):
     good = next(reader for reader in readers if reader.name == "model card").target
@@ -176,17 +168,13 @@ def test_dots_in_an_id_lead_nowhere(tmp_path, capsys, monkeypatch):
     assert "the grid has no simulation '../../etc/x'" in capsys.readouterr().err
 
 
-def film(path, frames=6):
+def film(path):
     image = np.random.default_rng(0).integers(0, 255, (32, 32, 3), np.uint8)
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 5.0, (32, 32))
-    for _ in range(frames):
-        writer.write(image)
-    writer.release()
+    return analytic_stage.write_avi(path, [image] * 6)
 
 
 def test_a_video_that_claims_a_thousand_million_frames_is_read_to_its_real_end(tmp_path):
-    path = tmp_path / "film.avi"
-    film(path)
+    path = film(tmp_path / "film.avi")
     content = bytearray(path.read_bytes())
     header = content.index(b"avih") + 8
     struct.pack_into("<I", content, header + 16, 10**9)  # dwTotalFrames
@@ -198,8 +186,7 @@ def test_a_video_that_claims_a_thousand_million_frames_is_read_to_its_real_end(t
 
 
 def test_a_video_whose_name_is_not_text_is_one_clear_line(tmp_path):
-    film(tmp_path / "film.avi")
-    path = (tmp_path / "film.avi").rename(tmp_path / os.fsdecode(b"\xff.avi"))
+    path = film(tmp_path / "film.avi").rename(tmp_path / os.fsdecode(b"\xff.avi"))
     for read in (Recording, lambda path: list(_frames(path))):
         with pytest.raises(BadInput, match="the name is not text"):
             read(path)

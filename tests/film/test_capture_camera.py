@@ -8,6 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from support import board_photographs as bench
+from support.analytic_stage import write_avi
 from support.refusal import refused
 
 from slipstitch.base.errors import BadInput
@@ -20,6 +21,7 @@ from slipstitch.images.camera_file import read_camera_file
 from slipstitch.images.rectification import rectify, stage_plane
 
 VIEWS = 9
+BLACK = np.zeros((*bench.SIZE[::-1], 3), np.uint8)
 CHECKERBOARD = ["--squares", "10x7", "--square-mm", "25"]
 
 
@@ -98,14 +100,10 @@ def test_a_known_camera_is_recovered_from_photographs_of_a_charuco_board(tmp_pat
     check_recovered(tmp_path / "camera.json")
 
 
-def test_a_camera_file_says_where_it_comes_from(work):
+def test_a_camera_file_and_its_picture_say_where_they_come_from(work):
     record = read_sidecar(work / "camera.json")
-    assert record["stage"] == "capture"
+    assert record["stage"] == read_sidecar(work / "camera.png")["stage"] == "capture"
     assert len(record["inputs"]) == VIEWS + 1
-    assert read_sidecar(work / "camera.png")["stage"] == "capture"
-
-
-def test_the_picture_of_the_residuals_is_one(work):
     assert cv2.imread(str(work / "camera.png")).shape[1] > 800
 
 
@@ -130,13 +128,8 @@ def test_a_crop_of_a_real_image_shows_what_the_renderer_draws(work):
 
 
 def test_a_video_of_the_board_will_do(work, tmp_path, capsys):
-    path = tmp_path / "board.avi"
-    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 5, bench.SIZE)
-    for k in range(VIEWS):
-        for _ in range(2):
-            video.write(cv2.imread(str(work / f"view{k}.png")))
-    video.write(np.zeros((*bench.SIZE[::-1], 3), np.uint8))  # the board is not in every frame
-    video.release()
+    images = [cv2.imread(str(work / f"view{k // 2}.png")) for k in range(2 * VIEWS)]
+    path = write_avi(tmp_path / "board.avi", [*images, BLACK])  # the board is not in every frame
     out = tmp_path / "camera.json"
     assert main(["capture", "camera", str(path), *CHECKERBOARD, "--out", str(out)]) == 0
     assert "18 views" in capsys.readouterr().out
@@ -150,44 +143,41 @@ def test_a_video_of_the_board_will_do(work, tmp_path, capsys):
 @pytest.mark.parametrize("quarter_turns", range(4))
 @pytest.mark.parametrize("charuco", [False, True])
 def test_a_board_is_found_the_right_way_round(quarter_turns, charuco):
-    image = np.pad(bench.board_image(charuco), 60, constant_values=0.6)
+    image = np.pad(bench.own_image(charuco), 60, constant_values=0.6)
     image = cv2.GaussianBlur(np.rint(255 * image).astype(np.uint8), (5, 5), 1)
     board = Board(bench.SQUARES, 0.02, *((0.0152, bench.DICTIONARY) if charuco else ()))
     seen = board.find(np.ascontiguousarray(np.rot90(image, quarter_turns)))
     height, width = image.shape
     # Corner (1, 1) of the drawing, two squares and the frame from its edges, turned likewise.
-    x = y = 60 + 2 * 40 - 0.5
+    x = y = 60 + 2 * bench.TEXELS - 0.5
     for _ in range(quarter_turns):
         x, y, width, height = y, width - 1 - x, height, width
     first = np.flatnonzero(np.isclose(seen.points_m[:, :2], 0.02).all(axis=1))
     np.testing.assert_allclose(seen.corners_px[first], [[x, y]], atol=0.2)
 
 
-def test_a_mistaken_view_is_left_out_and_named(work, tmp_path, capsys):
+@pytest.fixture
+def copy(work, tmp_path):
+    """The photographs of the bench, to be damaged."""
     for path in work.glob("*.png"):
         (tmp_path / path.name).write_bytes(path.read_bytes())
+    return tmp_path
+
+
+def test_a_mistaken_view_is_left_out_and_named(work, copy):
     bent = cv2.imread(str(work / "view3.png"))
     y, x = np.mgrid[: bent.shape[0], : bent.shape[1]].astype(np.float32)
     bent = cv2.remap(bent, x + 6 * np.sin(x / 50), y, cv2.INTER_LINEAR)
-    cv2.imwrite(str(tmp_path / "view3.png"), bent)
-    assert capture(tmp_path, *CHECKERBOARD) == 0
-    content = json.loads((tmp_path / "camera.json").read_text())
+    cv2.imwrite(str(copy / "view3.png"), bent)
+    assert capture(copy, *CHECKERBOARD) == 0
+    content = json.loads((copy / "camera.json").read_text())
     assert [Path(name).name for name in content["views_left_out"]] == ["view3.png"]
-    check_recovered(tmp_path / "camera.json")
+    check_recovered(copy / "camera.json")
 
 
-def drawn(name, image):
-    """Replaces an image of the bench by another."""
-    return lambda folder: cv2.imwrite(str(folder / name), image(folder))
-
-
-def black(_):
-    return np.zeros((*bench.SIZE[::-1], 3), np.uint8)
-
-
-def no_board(folder):
-    for path in folder.glob("view*.png"):
-        cv2.imwrite(str(path), black(folder))
+def black(name):
+    """Blackens photographs of the bench."""
+    return lambda folder: [cv2.imwrite(str(path), BLACK) for path in folder.glob(name)]
 
 
 def too_few(folder):
@@ -197,15 +187,16 @@ def too_few(folder):
 
 def alike(folder):
     # The board flat in front of the camera, moved sideways only.
-    image = np.pad(bench.board_image()[::2, ::2], ((40, 80), (60, 180)), constant_values=0.7)
+    image = np.pad(bench.own_image()[::3, ::3], ((40, 80), (60, 180)), constant_values=0.7)
     image = cv2.GaussianBlur(np.rint(255 * image).astype(np.uint8), (5, 5), 1)
     for k in range(VIEWS):
         moved = np.roll(image, (4 * k, 9 * k), axis=(0, 1))
         cv2.imwrite(str(folder / f"view{k}.png"), cv2.resize(moved, bench.SIZE))
 
 
-def smaller(folder):
-    return cv2.resize(cv2.imread(str(folder / "view1.png")), (600, 450))
+def larger(folder):
+    path = str(folder / "view1.png")
+    cv2.imwrite(path, cv2.resize(cv2.imread(path), (600, 450)))
 
 
 def no_image(folder):
@@ -219,12 +210,12 @@ def fine(folder):
 @pytest.mark.parametrize(
     ("damage", "words", "message"),
     [
-        (no_board, [], "no checkerboard of 10x7 squares in any of 9 image(s)"),
+        (black("view*.png"), [], "no checkerboard of 10x7 squares in any of 9 image(s)"),
         (no_image, [], "view2.png: not an image"),
         (too_few, [], "the board was found in only 4 usable view(s); at least 5 are required"),
         (alike, [], "views are too similar"),
-        (drawn("view1.png", smaller), [], "all images of a camera must have the same size"),
-        (drawn("floor.png", black), [], "floor.png: no board found in it"),
+        (larger, [], "all images of a camera must have the same size"),
+        (black("floor.png"), [], "floor.png: no board found in it"),
         (fine, ["--squares", "9x7"], "one odd and one even number"),
         (fine, ["--squares", "board"], "must be width x height, at least 4x4"),
         (fine, ["--squares", "9" * 5000 + "x10"], "at most 100x100"),
@@ -235,21 +226,15 @@ def fine(folder):
         (fine, ["--stage-view", "none.png"], "none.png: no such file"),
     ],
 )
-def test_bad_input_is_one_clear_line(work, tmp_path, capsys, damage, words, message):
-    for path in work.glob("*.png"):
-        (tmp_path / path.name).write_bytes(path.read_bytes())
-    damage(tmp_path)
-    assert message in refused(capsys, words_of(tmp_path, *CHECKERBOARD, *words, out="bad.json"))
-    assert not (tmp_path / "bad.json").exists()
+def test_bad_input_is_one_clear_line(copy, capsys, damage, words, message):
+    damage(copy)
+    assert message in refused(capsys, words_of(copy, *CHECKERBOARD, *words, out="bad.json"))
+    assert not (copy / "bad.json").exists()
 
 
 @pytest.mark.parametrize(("frames", "looked_at"), [(60, 60), (61, 31), (119, 60), (121, 41)])
 def test_of_a_video_sixty_frames_at_most_are_looked_at(tmp_path, frames, looked_at):
-    path = tmp_path / "empty.avi"
-    video = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 5, (64, 48))
-    for _ in range(frames):
-        video.write(np.zeros((48, 64, 3), np.uint8))
-    video.release()
+    path = write_avi(tmp_path / "empty.avi", [BLACK[:48, :64]] * frames)
     with pytest.raises(BadInput, match=rf"in any of {looked_at} frame"):
         read_views([path], Board((10, 7), 0.02))
 
@@ -267,10 +252,7 @@ AT_THE_TRACK = {"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, 1]], "translation_m": 
         ({"rotation": [[1, 0, 0], [0, 1, 0], [0, 0, -1]]}, "not a rotation matrix"),
         ({"distortion": {"k1": 0.1}}, "distortion must contain k1, k2, p1, p2, k3"),
         ({"translation_m": None}, "does not contain the position of the camera"),
-        (
-            AT_THE_TRACK,
-            "the camera would stand 0 m from the middle of the track .*; must be 0.2 to 5 m",
-        ),
+        (AT_THE_TRACK, "the camera would stand 0 m from the middle of .*; must be 0.2 to 5 m"),
         ({"translation_m": [1e200, 1, 1]}, "the camera would stand 1e.200 m from"),
         ({"translation_m": [1.7e308, 1.7e308, -1.7e308]}, "translation_m: the camera would"),
     ],

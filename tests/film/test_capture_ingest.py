@@ -12,21 +12,17 @@ from support.refusal import refused
 
 from slipstitch.base.errors import BadInput
 from slipstitch.cli.main import main
-from slipstitch.config import resolve_config, write_config
+from slipstitch.config import write_config
 from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.dataset.videos import read_videos
-from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.ingest_videos import read_known
 from slipstitch.film.stage_video import read_stage_video
 from slipstitch.images.camera import pose
 from slipstitch.images.rectification import rectify, source_pixels, stage_plane
 
-CONFIG = resolve_config(
-    {"simulation": {"frames": 24}, "sample": {"frames": 6}, "render": {"pixels": 64}}
-)
-SCHEDULE = Schedule.of(CONFIG.simulation, CONFIG.render, CONFIG.sample)
+CONFIG, SCHEDULE = stage.protocol()
 CALIBRATED = VIEWPOINTS["calibrated"]
-LENS = stage.lens_camera(*pose(CALIBRATED))
+LENS = stage.LENS
 START_S = 3.137
 RATE_HZ = 12.5
 
@@ -52,10 +48,14 @@ def images(times_s, start_s=START_S):
     return (drawn(max(round(time_s - start_s, 6), 0.0)) for time_s in times_s)
 
 
+def film(path, times_s, **options):
+    """A video of the bench, with frames at these times."""
+    return stage.write_video(path, images(times_s), times_s, **options)
+
+
 @pytest.fixture(scope="module")
 def video(tmp_path_factory):
-    path = tmp_path_factory.mktemp("bench") / "video.mp4"
-    return stage.write_video(path, images(times()), times())
+    return film(tmp_path_factory.mktemp("bench") / "video.mp4", times())
 
 
 def psnr_db(image, wanted):
@@ -154,12 +154,11 @@ def test_the_frames_are_those_of_the_dataset(video):
 
 def test_a_stated_start_is_taken(video):
     read = read_stage_video(video, LENS, SCHEDULE, start_s=3.0)
-    assert not read.start.found
-    assert np.abs(read.time_s + 3.0 - (SCHEDULE.time_s + 3.0)).max() <= 0.2
-    assert not read.notes
+    assert not read.start.found and not read.notes
+    assert np.abs(read.time_s - SCHEDULE.time_s).max() <= 0.2
 
 
-@pytest.mark.parametrize("start_s", [0.0, 2.0, 4.0, 60.0])
+@pytest.mark.parametrize("start_s", [2.0, 60.0])
 def test_a_stated_start_that_the_frames_contradict_is_refused(video, start_s):
     with pytest.raises(
         BadInput, match=rf"seen to start at 3\.1\d s, but {start_s:.2f} s is stated"
@@ -169,9 +168,8 @@ def test_a_stated_start_that_the_frames_contradict_is_refused(video, start_s):
 
 def test_a_stated_start_that_is_found_nowhere_is_noted(tmp_path):
     """Two frames a second are too few to find it."""
-    seldom = np.arange(0, 14, 0.5)
-    path = stage.write_video(tmp_path / "seldom.mp4", images(seldom), seldom)
-    with pytest.raises(BadInput, match="no start of the stage's motion found"):
+    path = film(tmp_path / "seldom.mp4", np.arange(0, 14, 0.5))
+    with pytest.raises(BadInput, match=STILL):
         read_stage_video(path, LENS, SCHEDULE)
     read = read_stage_video(path, LENS, SCHEDULE, start_s=START_S)
     assert read.notes[0].startswith("the stated start could not be verified")
@@ -196,7 +194,7 @@ def test_of_two_starts_in_a_film_the_stated_one_counts(tmp_path):
 def test_missing_frames_move_the_choice_not_the_clock(tmp_path):
     """Frames around 5 s after the start are lost: a frame beside the gap, cropped for its time."""
     kept = np.array([one for one in times() if not 4.6 < one - START_S < 5.5])
-    path = stage.write_video(tmp_path / "gap.mp4", images(kept), kept)
+    path = film(tmp_path / "gap.mp4", kept)
     read = read_stage_video(path, LENS, SCHEDULE)
     off_s = np.abs(read.time_s - SCHEDULE.time_s)
     assert read.longest_gap_s == pytest.approx(1.2, abs=0.4)
@@ -209,7 +207,7 @@ def test_missing_frames_move_the_choice_not_the_clock(tmp_path):
 
 def test_a_long_gap_is_refused(tmp_path):
     kept = np.array([one for one in times() if not 3.8 < one - START_S < 6.2])
-    path = stage.write_video(tmp_path / "gap.mp4", images(kept), kept)
+    path = film(tmp_path / "gap.mp4", kept)
     with pytest.raises(BadInput, match=r"needed at 8\.1. s; the nearest usable one is 1\.\d s"):
         read_stage_video(path, LENS, SCHEDULE)
 
@@ -283,26 +281,28 @@ def test_reference_values_fill_empty_cells(folder):
     assert read_known(folder / "dataset")[0]["mu_ref"] == 0.33
 
 
+def changed(old, new):
+    """The rows of a table of the good one alone, changed."""
+    return [GOOD.replace(old, new)]
+
+
 @pytest.mark.parametrize(
     ("rows", "problem"),
     [
-        ([GOOD.replace("a.mp4", "c.mp4")], "line 2, video: 'c.mp4'; no such file below"),
-        ([GOOD.replace("a.mp4", "../a.mp4")], "video: '../a.mp4'; must be a path below"),
-        ([GOOD.replace("a.mp4", "/etc/passwd")], "video: '/etc/passwd'; must be a path below"),
-        ([GOOD.replace("a.mp4", "link.mp4")], "must not be a link to outside"),
-        ([GOOD.replace("camera.json", "no.json")], "camera: 'no.json'; no such file below"),
-        ([GOOD.replace("0.31", "-0.31")], "mu_ref: '-0.31'; must be a number from 0 to 10"),
-        ([GOOD.replace("0.31", "nan")], "mu_ref: 'nan'; must be a number from 0 to 10"),
-        ([GOOD.replace("0.31", "")], "mu_ref: empty"),
-        (
-            [GOOD.replace("glass", '"=HYPERLINK(""x"")"')],
-            "'=HYPERLINK(\"x\")' looks like a formula",
-        ),
-        ([GOOD.replace(",1,", ",one,")], "repeat: 'one'; must be a whole number from 0 to 99"),
-        ([GOOD.replace(",no,", ",maybe,")], "reflective: 'maybe'; must be yes or no"),
+        (changed("a.mp4", "c.mp4"), "line 2, video: 'c.mp4'; no such file below"),
+        (changed("a.mp4", "../a.mp4"), "video: '../a.mp4'; must be a path below"),
+        (changed("a.mp4", "/etc/passwd"), "video: '/etc/passwd'; must be a path below"),
+        (changed("a.mp4", "link.mp4"), "must not be a link to outside"),
+        (changed("camera.json", "no.json"), "camera: 'no.json'; no such file below"),
+        (changed("0.31", "-0.31"), "mu_ref: '-0.31'; must be a number from 0 to 10"),
+        (changed("0.31", "nan"), "mu_ref: 'nan'; must be a number from 0 to 10"),
+        (changed("0.31", ""), "mu_ref: empty"),
+        (changed("glass", '"=HYPERLINK(""x"")"'), "'=HYPERLINK(\"x\")' looks like a formula"),
+        (changed(",1,", ",one,"), "repeat: 'one'; must be a whole number from 0 to 99"),
+        (changed(",no,", ",maybe,"), "reflective: 'maybe'; must be yes or no"),
         ([GOOD + ",7"], "line 2: 9 cells, the header has 8"),
         ([GOOD, GOOD], "line 3: repeat 1 of gray-interlock on glass duplicates line 2"),
-        ([GOOD, GOOD.replace(",1,", ",2,")], "line 3, video: the same content as in line 2"),
+        ([GOOD, *changed(",1,", ",2,")], "line 3, video: the same content as in line 2"),
         (
             [GOOD, GOOD.replace("a.mp4", "b.mp4").replace(",1,0.31", ",2,0.35")],
             "line 3: gray-interlock on glass differs in mu_ref, mu_ref_error or reflective from",
@@ -331,49 +331,48 @@ def test_wrong_columns_are_one_line(folder, capsys, columns, problem):
     assert problem in refused(capsys, words_of(folder, row, columns=columns))
 
 
-def bad_video(folder, kind):
-    """Put a video that cannot be used in place of the table's first."""
-    path, sound = folder / "a.mp4", (folder / "b.mp4").read_bytes()
-    path.unlink()
-    filmed = {
-        "ten frames": (times()[:10], images(times()[:10])),
-        "portrait": (times()[:60], (np.rot90(image) for image in images(times()[:60]))),
-        "still": (times(), images(times(), 1e3)),
-        "backwards": (times(), images(times()[::-1])),
-    }
-    if kind in filmed:
-        times_s, shown = filmed[kind]
-        stage.write_video(path, shown, times_s)
-        return
-    if kind == "stream cut off":  # a container that can be read until there
-        sound = stage.write_video(folder / "whole.mkv", images(times()), times()).read_bytes()
-    contents = {
-        "text": b"no video\n" * 40,
-        "playlist": b"#EXTM3U\n#EXTINF:10,\nhttp://localhost:1/a.ts\n",
-        "noise": np.random.default_rng(0).bytes(50_000),
-        "cut off": sound[: len(sound) // 2],
-        "stream cut off": sound[: len(sound) * 4 // 5],
-        "empty": b"",
-    }
-    path.write_bytes(contents[kind])
+STILL = "no start of the stage's motion found"
+
+
+def drawn_video(times_s, shown):
+    """Writes a video of such images at a path."""
+    return lambda path: stage.write_video(path, shown(times_s), times_s)
+
+
+def cut_off(path):
+    sound = path.with_name("b.mp4").read_bytes()
+    path.write_bytes(sound[: len(sound) // 2])
+
+
+def stream_cut_off(path):
+    """A container that can be read until there."""
+    sound = film(path.with_name("whole.mkv"), times()).read_bytes()
+    path.write_bytes(sound[: len(sound) * 4 // 5])
 
 
 @pytest.mark.parametrize(
-    ("kind", "problem"),
+    ("content", "problem"),
     [
-        ("text", "a text file, not a video"),
-        ("playlist", "a text file, not a video"),
-        ("noise", "not a video that FFmpeg can read"),
-        ("cut off", "not a video that FFmpeg can read (damaged or truncated?)"),
-        ("stream cut off", "ends after"),
-        ("empty", "empty, not a video"),
-        ("ten frames", "if it does, give the start (--start-s, or start_s in a captures table)"),
-        ("portrait", "240x320 pixels (portrait: the camera was calibrated in the other orient"),
-        ("still", "no start of the stage's motion found"),
-        ("backwards", "no start of the stage's motion found"),
+        (b"no video\n" * 40, "a text file, not a video"),
+        (b"#EXTM3U\n#EXTINF:10,\nhttp://localhost:1/a.ts\n", "a text file, not a video"),
+        (np.random.default_rng(0).bytes(50_000), "not a video that FFmpeg can read"),
+        (b"", "empty, not a video"),
+        (cut_off, "not a video that FFmpeg can read (damaged or truncated?)"),
+        (stream_cut_off, "ends after"),
+        (drawn_video(times()[:10], images), "if it does, give the start (--start-s, or start_s"),
+        (
+            drawn_video(times()[:60], lambda times_s: map(np.rot90, images(times_s))),
+            "240x320 pixels (portrait: the camera was calibrated in the other orient",
+        ),
+        (drawn_video(times(), lambda times_s: images(times_s, 1e3)), STILL),
+        (drawn_video(times(), lambda times_s: images(times_s[::-1])), STILL),
     ],
-)
-def test_a_bad_video_is_one_line(folder, capfd, kind, problem):
-    bad_video(folder, kind)
+    ids=["text", "playlist", "noise", "empty", "cut off", "stream cut off", "ten frames",
+         "portrait", "still", "backwards"],
+)  # fmt: skip
+def test_a_bad_video_is_one_line(folder, capfd, content, problem):
+    path = folder / "a.mp4"
+    path.unlink()
+    path.write_bytes(content) if isinstance(content, bytes) else content(path)
     said = refused(capfd, words_of(folder, GOOD))
     assert "a.mp4: " in said and problem in said

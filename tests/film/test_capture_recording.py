@@ -1,5 +1,8 @@
-"""Videos read frame by frame: all of them, or those that are needed."""
+"""Videos read frame by frame, all of them or those needed; films of foreign cameras."""
 
+import functools
+import re
+import struct
 from dataclasses import replace
 
 import av
@@ -9,13 +12,10 @@ import pytest
 from av.video.reformatter import ColorRange, Colorspace
 from support import analytic_stage as stage
 
-from slipstitch.config import resolve_config
-from slipstitch.config.catalogue import VIEWPOINTS
+from slipstitch.base.errors import BadInput
 from slipstitch.film import recording as recording_module
-from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.recording import Recording
 from slipstitch.film.stage_video import read_stage_video
-from slipstitch.images.camera import pose
 
 RATE_HZ = 12.5
 TIMES_S = np.cumsum(np.r_[0, np.random.default_rng(0).uniform(0.03, 0.09, 59)])  # no regular camera
@@ -130,11 +130,8 @@ def test_frames_without_times_have_no_index(tmp_path):
 
 # A video of the stage
 
-CONFIG = resolve_config(
-    {"simulation": {"frames": 24}, "sample": {"frames": 6}, "render": {"pixels": 64}}
-)
-SCHEDULE = Schedule.of(CONFIG.simulation, CONFIG.render, CONFIG.sample)
-LENS = stage.lens_camera(*pose(VIEWPOINTS["calibrated"]))
+_, SCHEDULE = stage.protocol()
+LENS = stage.LENS
 START_S = 3.0
 
 
@@ -148,16 +145,9 @@ def film(tmp_path_factory):
     return stage.write_video(path, images, times_s, g="10", bf="0", sc_threshold="0")
 
 
-def long_schedule():
-    config = resolve_config(
-        {"simulation": {"frames": 60}, "sample": {"frames": 12}, "render": {"pixels": 64}}
-    )
-    return Schedule.of(config.simulation, config.render, config.sample)
-
-
 @pytest.mark.slow
 def test_the_stage_is_read_alike_from_some_frames_and_from_all(film, monkeypatch):
-    schedule = long_schedule()
+    _, schedule = stage.protocol(60, 12)
     some = read_stage_video(film, LENS, schedule)
     monkeypatch.setattr(Recording, "listed", None)
     whole = read_stage_video(film, LENS, schedule)
@@ -192,3 +182,141 @@ def test_where_a_needed_frame_is_damaged_all_are_read(film, tmp_path, monkeypatc
     assert apart_s[[0, 1, 3]].max() < 0.01
     # Without its key frame the decoder rests the frame on what came before.
     assert apart_s[2] == pytest.approx(0 if key_frame else 1 / RATE_HZ, abs=0.01)
+
+
+# Films as other people's cameras and programs write them: read, or refused with the cause
+
+_, WHOLE = stage.protocol(pixels=48)
+FILM = replace(WHOLE, frame=WHOLE.frame[:4])
+FILM_START_S, LENGTH_S = 3.1, 11.0
+
+
+@functools.cache
+def film_at(rate_hz):
+    """Times and noisy images of a film."""
+    bench, noise = stage.Bench(LENS), np.random.default_rng(0)
+    times_s = np.arange(0, LENGTH_S, 1 / rate_hz)
+    images = [
+        np.clip(
+            bench.image(time_s - FILM_START_S) + noise.normal(0, 3, (*bench.shape, 3)), 0, 255
+        ).astype(np.uint8)
+        for time_s in times_s
+    ]
+    return times_s, images
+
+
+def said_of(path, **options):
+    with pytest.raises(BadInput) as problem:
+        read_stage_video(path, LENS, FILM, **options)
+    return str(problem.value)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("rate_hz", "slowed"), [(25.0, 2), (25.0, 4), (12.5, 4), (12.5, 8)])
+def test_slow_motion_is_named_with_the_rate_that_helps(tmp_path, rate_hz, slowed):
+    times_s, images = film_at(rate_hz)
+    path = stage.write_video(tmp_path / "a.mp4", images, slowed * times_s)
+    said = said_of(path)
+    assert f"descends {1 / slowed:.2f} times as fast" in said
+    assert f"filmed at {rate_hz:g} and saved at {rate_hz / slowed:.4g} frames a second" in said
+    read = read_stage_video(path, LENS, FILM, frame_rate_hz=rate_hz)
+    assert read.start.time_s == pytest.approx(FILM_START_S, abs=0.05)
+
+
+@pytest.mark.default_cases(1)
+@pytest.mark.parametrize(
+    ("rate_hz", "again_s", "message"),
+    [
+        (12.5, None, r"its timestamps step back by 7\.\d+ s after 7\."),
+        (25.0, None, r"its timestamps step back by 7\.\d+ s after 7\."),
+        (25.0, 0.5, r"its timestamps step back by 0\.4\d s after 7\."),
+    ],
+)
+def test_joined_parts_whose_times_overlap_are_refused_and_a_stated_rate_is_read(
+    tmp_path, rate_hz, again_s, message
+):
+    times_s, images = film_at(rate_hz)
+    half = len(times_s) * 2 // 3
+    whole = b""
+    for number, part in enumerate([slice(None, half), slice(half, None)]):
+        path = tmp_path / f"{number}.ts"
+        own_s = times_s[part] - (times_s[part][0] if again_s is None else number * again_s)
+        stage.write_video(path, images[part], own_s, bf="0")
+        whole += path.read_bytes()
+    (tmp_path / "joined.ts").write_bytes(whole)
+    assert re.search(message, said_of(tmp_path / "joined.ts"))
+    read = read_stage_video(tmp_path / "joined.ts", LENS, FILM, frame_rate_hz=rate_hz)
+    assert read.start.time_s == pytest.approx(FILM_START_S, abs=0.05)
+    assert read.time_s == pytest.approx(FILM.time_s, abs=1 / rate_hz)
+
+
+@pytest.mark.default_cases(1)
+@pytest.mark.parametrize(
+    ("rate_hz", "clock", "message"),
+    [
+        (12.5, lambda s: np.round(s, 1), "have the timestamp of the frame before: the clock is"),
+        (25.0, lambda s: np.round(s, 1), "have the timestamp of the frame before: the clock is"),
+        (25.0, lambda s: np.round(s), "have the timestamp of the frame before: the clock is"),
+        (12.5, lambda s: 1e3 * s, "0.0125 frames a second by its timestamps, as in milliseconds"),
+    ],
+)
+def test_a_clock_in_another_unit_or_too_coarse_is_named(
+    tmp_path, monkeypatch, rate_hz, clock, message
+):
+    """A container can hold such times, a writer that encodes them cannot: they are read so."""
+    times_s, images = film_at(rate_hz)
+    path = stage.write_video(tmp_path / "a.mp4", images, times_s, bf="0")
+    decoded = recording_module._frames
+
+    def frames(video):
+        unit_s = float(video.streams.video[0].time_base)
+        for frame in decoded(video):
+            frame.pts = round(clock(frame.pts * unit_s) / unit_s)
+            yield frame
+
+    monkeypatch.setattr(recording_module, "_frames", frames)
+    monkeypatch.setattr(Recording, "listed", None)
+    assert message in said_of(path)
+    read = read_stage_video(path, LENS, FILM, frame_rate_hz=rate_hz)
+    assert read.start.time_s == pytest.approx(FILM_START_S, abs=0.05)
+
+
+def tagged_by_180(path):
+    """Set the matrix of the track header, by which a player turns the film."""
+    content = bytearray(path.read_bytes())
+    at = content.index(b"tkhd") + 44
+    height, width = stage.Bench(LENS).shape
+    one = 1 << 16
+    matrix = (-one, 0, 0, 0, -one, 0, width * one, height * one, 1 << 30)
+    content[at : at + 36] = struct.pack(">9i", *matrix)
+    path.write_bytes(content)
+    return path
+
+
+@pytest.mark.default_cases(1)
+@pytest.mark.parametrize("rate_hz", [12.5, 25.0])
+@pytest.mark.parametrize("is_tagged", [False, True])
+def test_a_film_upside_down_is_named_as_one(tmp_path, rate_hz, is_tagged):
+    times_s, images = film_at(rate_hz)
+    turned = [cv2.rotate(image, cv2.ROTATE_180) for image in images]
+    path = stage.write_video(tmp_path / "a.mp4", turned, times_s)
+    if is_tagged:
+        assert Recording(tagged_by_180(path)).rotation_deg == 180
+    said = said_of(path)
+    assert "shows the bench upside down" in said
+    assert ("orientation tag says 180 degrees" in said) == is_tagged
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("rate_hz", "padded_hz"), [(12.5, 25.0), (10.0, 25.0), (12.5, 30.0)])
+def test_repeated_frames_do_no_harm_and_a_rate_stated_for_them_is_refused(
+    tmp_path, rate_hz, padded_hz
+):
+    _, images = film_at(rate_hz)
+    padded_s = np.arange(0, LENGTH_S - 0.2, 1 / padded_hz)
+    shown = [images[int(time_s * rate_hz + 1e-6)] for time_s in padded_s]
+    path = stage.write_video(tmp_path / "a.mp4", shown, padded_s, crf="18")
+    read = read_stage_video(path, LENS, FILM)
+    assert read.start.time_s == pytest.approx(FILM_START_S, abs=0.06)
+    said = said_of(path, frame_rate_hz=rate_hz)
+    assert "in which frames are repeated, it does: leave the frame rate out" in said

@@ -1,7 +1,5 @@
 """Surrogate captures: made unlike the training data, and always called what they are."""
 
-import csv
-
 import numpy as np
 import pytest
 from support.refusal import refused
@@ -92,42 +90,30 @@ def test_the_table_calls_every_film_a_surrogate(tmp_path):
     captures = read_captures(tmp_path / "captures.csv", tmp_path / "reference.csv")
     assert [one.id for one in captures] == [film.id for film in films(CONFIG)]
     assert all(one.surrogate for one in captures)
-    assert {one.substrate: one.reflective for one in captures} == {
-        "matte": False,
-        "aluminium": True,
-        "ceramic": False,
-        "smooth-glass": False,
+    substrates = {one.substrate: one.reflective for one in captures}
+    assert substrates == dict.fromkeys(("matte", "ceramic", "smooth-glass"), False) | {
+        "aluminium": True
     }
-    rows = list(csv.DictReader((tmp_path / "captures.csv").open()))
-    rows[0]["surrogate"] = "no"
-    with (tmp_path / "mixed.csv").open("w", newline="") as stream:
-        writer = csv.DictWriter(stream, rows[0])
-        writer.writeheader()
-        writer.writerows(rows)
+    mixed = (tmp_path / "captures.csv").read_text().replace("yes", "no", 1)  # the first is matte
+    (tmp_path / "mixed.csv").write_text(mixed)
     with pytest.raises(BadInput, match="must not mix surrogate and real captures"):
         read_captures(tmp_path / "mixed.csv", tmp_path / "reference.csv")
 
 
+PAIR = {"material": "gray-interlock", "substrate": "matte", "friction": 0.3}
+
+
 @pytest.mark.parametrize(
-    ("section", "problem"),
+    ("pairs", "problem"),
     [
-        (
-            {"pairs": [{"material": "silk", "substrate": "matte", "friction": 0.3}]},
-            "unknown material",
-        ),
-        (
-            {"pairs": [{"material": "gray-interlock", "substrate": "ice", "friction": 0.3}]},
-            "unknown floor 'ice'",
-        ),
-        (
-            {"pairs": [{"material": "gray-interlock", "substrate": "matte", "friction": 0.3}] * 2},
-            "duplicate fabric on the same substrate",
-        ),
+        ([PAIR | {"material": "silk"}], "unknown material"),
+        ([PAIR | {"substrate": "ice"}], "unknown floor 'ice'"),
+        ([PAIR, PAIR], "duplicate fabric on the same substrate"),
     ],
 )
-def test_impossible_pairs_are_refused(section, problem):
+def test_impossible_pairs_are_refused(pairs, problem):
     with pytest.raises(BadInput, match=problem):
-        resolve_config({"captures": section})
+        resolve_config({"captures": {"pairs": pairs}})
 
 
 @pytest.mark.slow

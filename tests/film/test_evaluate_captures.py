@@ -7,8 +7,9 @@ import pyarrow.parquet as pq
 import pytest
 from support import analytic_stage as stage
 from support import synthetic_videos
+from support.models import train_networks, untrained_instrument
 from support.refusal import refused
-from support.untrained import untrained_instrument
+from support.synthetic_results import captured
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import read_provenance
@@ -23,37 +24,8 @@ from slipstitch.learning.evaluation import paper
 from slipstitch.learning.evaluation.trained import Trained
 from slipstitch.learning.instrument.measuring import save_instrument
 from slipstitch.learning.lrcn_model import load_model
-from slipstitch.learning.lrcn_training import train_network
-from slipstitch.learning.trainer import Run
 
-KNOWN = [
-    {
-        "video": f"c{pair:02d}_r{repeat:02d}_t00_v00",
-        "pair": f"c{pair:02d}",
-        "material": "denim" if pair else "felt",
-        "substrate": "glass" if pair else "wood",
-        "reflective": bool(pair),
-        "mu_ref": (0.3, 0.62)[pair],
-        "mu_ref_error": 0.02,
-        "surrogate": True,
-    }
-    for pair in range(2)
-    for repeat in range(5)
-]
-NO_INSTRUMENT = {"low": None, "high": None, "fabrics": [], "alarm": None}
-
-
-def predicted(friction, **columns):
-    """Rows of predictions for `KNOWN`: a list a column, or one value for all."""
-    columns = {**NO_INSTRUMENT, "friction": list(friction), **columns}
-    return [
-        row | {name: of[k] if name in columns and isinstance(of, list) and len(of) == 10 else of
-               for name, of in columns.items()}
-        for k, row in enumerate(KNOWN)
-    ]  # fmt: skip
-
-
-CLASSES = predicted(
+CLASSES = captured(
     [0.3, 0.3, 0.3, 0.3, 0.3, 0.5, 0.6, 0.6, 0.7, 0.9],
     fabrics=[["denim", "silk"]] * 5 + [["silk", "denim"]] * 5,
 )
@@ -64,13 +36,13 @@ def test_the_error_is_the_distance_from_the_references_interval():
 
 
 def test_captures_are_looked_at_with_and_without_mirrors():
-    parts = subsets(KNOWN)
+    parts = subsets(CLASSES)
     assert {name: int(chosen.sum()) for name, chosen in parts.items()} == {
         "surrogate_all": 10,
         "surrogate_matte": 5,
         "surrogate_reflective": 5,
     }
-    real = [{**row, "surrogate": False, "reflective": False} for row in KNOWN]
+    real = [{**row, "surrogate": False, "reflective": False} for row in CLASSES]
     assert list(subsets(real)) == ["real_all", "real_matte"]
 
 
@@ -97,7 +69,7 @@ def test_scores_of_classes():
 
 def test_a_pair_is_within_a_tenth_if_its_median_is_as_the_paper_counts():
     """Of the second pair's films two are: of the films most are within, of the pairs one."""
-    scores = capture_scores(predicted([0.3, 0.3, 0.3, 0.3, 0.3, 0.6, 0.7, 0.9, 0.9, 0.9]))
+    scores = capture_scores(captured([0.3, 0.3, 0.3, 0.3, 0.3, 0.6, 0.7, 0.9, 0.9, 0.9]))
     assert (scores["within_0.1"], scores["median_within_0.1"]) == (0.7, 0.5)
     printed = {name: figures.get("median_within_0.1") for name, figures in paper.CAPTURES.items()}
     pairs = {"all": 39 / 63, "matte": 31 / 36, "all, reflective training": 59 / 63}
@@ -110,7 +82,7 @@ def test_a_pair_is_within_a_tenth_if_its_median_is_as_the_paper_counts():
 def test_scores_of_an_instrument():
     friction = np.array([0.31, 0.32, 0.29, 0.33, 0.34, 0.6, 0.61, 0.62, 0.63, 0.66])
     ends = {"low": (friction - 0.01).tolist(), "high": (friction + 0.01).tolist()}
-    scores = capture_scores(predicted(friction, **ends, alarm=["odd"] + [""] * 9))
+    scores = capture_scores(captured(friction, **ends, alarm=["odd"] + [""] * 9))
     # Intervals that do not meet the reference's: at 0.34 and 0.66, by 0.01.
     assert scores["coverage_90"] == 0.8
     assert scores["interval_width"] == pytest.approx(0.02)
@@ -127,16 +99,7 @@ def bench(tmp_path_factory):
         train={"epochs_per_cycle": 1, "fine_tuning_epochs": 0, "plateau_margin": None}
     )
     synthetic_videos.write_dataset(config, folder)
-    networks = folder / "train" / "by_video"
-    for network in ("material_baseline", "friction_baseline", "friction_conditional"):
-        material = networks / "material_baseline" / "seed0"
-        train_network(
-            config.train,
-            Run(folder / "sample", "by_video", 0, networks / network / "seed0"),
-            network,
-            config.render.viewpoints,
-            material_model=material if network == "friction_conditional" else None,
-        )
+    networks = train_networks(config, folder, "by_video")
     instrument = untrained_instrument()
     of_dataset = load_model(networks / "friction_baseline" / "seed0").card["dataset_digest"]
     instrument.card.update(split="by_simulation", dataset_digest=of_dataset)
@@ -170,7 +133,7 @@ def ingested(bench, kind):
     return dataset
 
 
-def captured(bench, kind):
+def evaluation_of(bench, kind):
     """Evaluate such a dataset; the folder of the results."""
     dataset, out = ingested(bench, kind), bench / f"{kind}_out"
     files = {key: str(out / f"{key}.{end}") for key, end in
@@ -183,7 +146,7 @@ def captured(bench, kind):
 
 
 def test_captures_go_through_all_networks(bench, capsys):
-    out = captured(bench, "surrogates")
+    out = evaluation_of(bench, "surrogates")
     said = capsys.readouterr().out
     assert "surrogate_reflective   lrcn_conditional, trained by_video" in said
     metrics = json.loads((out / "out.json").read_text())
@@ -245,7 +208,7 @@ def test_models_of_different_datasets_do_not_stand_beside_one_another(bench, tmp
 
 
 def test_surrogates_are_named_so_and_real_ones_so(bench):
-    page = (captured(bench, "real") / "page.html").read_text()
+    page = (evaluation_of(bench, "real") / "page.html").read_text()
     assert ' class="first">Real captures: videos of a bench' in page
     assert "urrogate" not in page
 

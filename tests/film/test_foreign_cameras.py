@@ -5,6 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
+from support.board_photographs import TEXELS, board_image
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance.files import read_json
@@ -133,25 +134,11 @@ def test_a_principal_point_whose_coordinates_are_swapped_is_named(tmp_path, size
 
 IMAGE = (960, 720)
 MATRIX = np.array([[900.0, 0, 480], [0, 905.0, 360], [0, 0, 1]])
-TEXELS = 60
-
-
-def drawn(squares, marker=0.75, dictionary="DICT_5X5_100", is_legacy=False):
-    """A board with a white margin of a square; a checkerboard without a dictionary."""
-    if dictionary is None:
-        y, x = np.mgrid[: squares[1], : squares[0]]
-        image = 255 * np.kron((x + y) % 2, np.ones((TEXELS, TEXELS))).astype(np.uint8)
-    else:
-        markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
-        board = cv2.aruco.CharucoBoard(squares, 1.0, marker, markers)
-        board.setLegacyPattern(is_legacy)
-        image = board.generateImage((squares[0] * TEXELS, squares[1] * TEXELS))
-    return np.pad(image, TEXELS, constant_values=255)
 
 
 def photographs(folder, squares, square_m=0.02, count=8, distance=1.0, **kind):
     """Files of the board in the hand, and on a floor before a camera that looks down at it."""
-    rng, board = np.random.default_rng(1), drawn(squares, **kind)
+    rng, board = np.random.default_rng(1), board_image(squares, **kind)
     middle = np.array([*squares, 0]) * square_m / 2
     scale = np.diag([square_m / TEXELS, square_m / TEXELS, 1])
     scale[:2, 2] = -square_m
@@ -178,6 +165,7 @@ def test_a_charuco_board_of_either_pattern_is_found(tmp_path, squares, is_legacy
 
 
 CHARUCO = {"marker_m": 0.015, "dictionary": "DICT_5X5_100"}
+FINER = {"dictionary": "DICT_6X6_250"}
 
 
 @pytest.mark.parametrize(
@@ -186,11 +174,7 @@ CHARUCO = {"marker_m": 0.015, "dictionary": "DICT_5X5_100"}
         ({}, {"squares": (6, 9), **CHARUCO}, "width and height are swapped"),
         ({}, {"squares": (7, 5), **CHARUCO}, "a board of 27 markers; 7x5 squares have 17"),
         ({}, {"squares": (12, 9), **CHARUCO}, "a board of 27 markers; 12x9 squares have 54"),
-        (
-            {"dictionary": "DICT_6X6_250"},
-            {"squares": (9, 6), **CHARUCO},
-            "27 markers of DICT_6X6_50.*--dictionary DICT_6X6",
-        ),
+        (FINER, {"squares": (9, 6), **CHARUCO}, "27 markers of DICT_6X6_50.*--dictionary DICT_6X6"),
         ({"dictionary": None}, {"squares": (9, 6), **CHARUCO}, "9x6 squares is seen, without mark"),
         ({}, {"squares": (9, 6)}, "27 markers of DICT_5X5_50.*--board charuco"),
         ({"dictionary": None}, {"squares": (8, 5)}, "9x6 squares is seen, which has 8x5 inner cor"),

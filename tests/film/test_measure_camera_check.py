@@ -6,12 +6,12 @@ import cv2
 import numpy as np
 import pytest
 from support import analytic_stage as stage
+from support.models import untrained_instrument
 from support.refusal import refused
-from support.untrained import untrained_instrument
 
 from slipstitch.base.provenance import read_sidecar
 from slipstitch.cli.main import main
-from slipstitch.config import resolve_config, write_config
+from slipstitch.config import write_config
 from slipstitch.config.catalogue import Viewpoint
 from slipstitch.film.measure.camera_check import check_camera, check_figure
 from slipstitch.film.measure.measuring_bench import measuring_bench
@@ -19,7 +19,7 @@ from slipstitch.images.camera import pose
 from slipstitch.learning.instrument.measuring import save_instrument
 from slipstitch.learning.instrument.poses import outside, pose_range, poses_of
 
-CONFIG = resolve_config({"simulation": {"frames": 24}, "sample": {"frames": 6}})
+CONFIG, _ = stage.protocol()
 FAMILY = {
     "yaw_deg": [-15.0, 15.0],
     "pitch_deg": [-8.0, 8.0],

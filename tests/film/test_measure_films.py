@@ -1,17 +1,24 @@
-"""Films of the example, altered, read by the instrument that ships; and repeats of a pair."""
+"""The instrument that ships, films of its example, altered, and repeats of a pair."""
 
 import csv
 import json
+import shutil
+import tomllib
+from pathlib import Path
 
 import numpy as np
 import pytest
 from support import analytic_stage as stage
 from support import example_film
+from support.refusal import refused
 
+from slipstitch.base.provenance import file_digest
 from slipstitch.cli.main import main
-from slipstitch.film.measure import EXAMPLE_CAMERA
+from slipstitch.config import load_config
+from slipstitch.film.measure import EXAMPLE_CAMERA, EXAMPLE_FOLDER, SHIPPED
 from slipstitch.film.measure.measurement_files import HALF_WIDTH, MeasuredPair, combined
 from slipstitch.film.measure.measuring_bench import MeasuringBench
+from slipstitch.learning.instrument.measuring import load_instrument
 
 
 @pytest.mark.slow
@@ -134,30 +141,25 @@ def test_the_interval_holds_whatever_the_videos_share(sd, truths, shared, own, c
     assert width <= (1.3 if count > 2 else 2.6)
 
 
-def test_a_half_that_the_grid_cuts_off_is_no_small_error():
-    """Where (0, 0.1) holds the truth in nine cases of ten, three such videos say the same."""
-    assert combined([0.0] * 3, [(0.0, 0.1)] * 3, ENDS).interval_90 == pytest.approx(
-        (0.0, 0.1), abs=1e-3
-    )
-    assert combined([1.45] * 3, [(1.2, 1.5)] * 3, ENDS).interval_90 == pytest.approx(
-        (1.2, 1.5), abs=2e-3
-    )
-    # The grid ends elsewhere: these are whole halves.
-    assert combined([1.45] * 3, [(1.2, 1.5)] * 3, (0.0, 2.0)).interval_90 == pytest.approx(
-        (1.2, 1.5), abs=2e-3
-    )
-
-
-def test_a_skew_interval_stays_skew():
-    assert combined([0.5] * 3, [(0.48, 0.56)] * 3, ENDS).interval_90 == pytest.approx(
-        (0.48, 0.56), abs=1e-3
-    )
-
-
-def test_videos_without_an_error_bar_have_none_together():
-    result = combined([0.3, 0.32, 0.9], [ENDS] * 3, ENDS)
-    assert result.interval_90 == ENDS
+@pytest.mark.parametrize(
+    ("values", "interval", "ends", "abs_error"),
+    [
+        # Cut off by the grid: where such a half holds the truth in nine cases of ten, three such
+        # videos say the same.
+        ([0.0] * 3, (0.0, 0.1), ENDS, 1e-3),
+        ([1.45] * 3, (1.2, 1.5), ENDS, 2e-3),
+        ([1.45] * 3, (1.2, 1.5), (0.0, 2.0), 2e-3),  # whole halves: this grid ends elsewhere
+        ([0.5] * 3, (0.48, 0.56), ENDS, 1e-3),  # skew
+        ([0.3, 0.32, 0.9], ENDS, ENDS, 0),  # without an error bar
+        ([0.3], (0.25, 0.4), ENDS, 0),
+    ],
+)
+def test_alike_videos_have_the_interval_of_one(values, interval, ends, abs_error):
+    result = combined(values, [interval] * len(values), ends)
+    assert result.interval_90 == pytest.approx(interval, abs=abs_error)
     assert result.outliers == []
+    assert np.isnan(result.scatter) == (len(values) == 1)
+    assert result.friction_coefficient == pytest.approx(np.mean(values))
 
 
 def test_what_differs_between_videos_averages_out():
@@ -171,12 +173,6 @@ def test_scatter_beyond_the_stated_error_widens_the_interval():
     assert width > 3
 
 
-def test_one_video_is_told_as_it_is():
-    result = combined([0.3], [(0.25, 0.4)], ENDS)
-    assert result.interval_90 == (0.25, 0.4)
-    assert result.friction_coefficient == 0.3 and np.isnan(result.scatter)
-
-
 def test_a_stray_video_is_named_and_an_ordinary_one_hardly_ever():
     values = [0.30, 0.31, 0.305, 0.52, 0.298]
     result = combined(values, [(value - 0.03, value + 0.03) for value in values], ENDS)
@@ -188,3 +184,95 @@ def test_a_stray_video_is_named_and_an_ordinary_one_hardly_ever():
         for v in 0.5 + 0.018 * generator.normal(size=(200, 5))
     ]
     assert np.mean(named) <= 0.1
+
+
+# The instrument that ships, and the video to try it on
+
+ROOT = Path(__file__).parents[2]
+PUBLISHED = ROOT / "results/published/instrument"
+
+
+def test_it_is_the_published_one_and_small():
+    models = PUBLISHED / "models/by_simulation/instrument/ensemble"
+    for name in ("instrument.safetensors", "instrument.json"):
+        assert (SHIPPED / name).read_bytes() == (models / name).read_bytes(), name
+    assert (SHIPPED / "config.json").read_bytes() == (PUBLISHED / "config.json").read_bytes()
+    assert sum(path.stat().st_size for path in SHIPPED.iterdir()) < 4e6
+
+
+def test_its_card_and_its_list_of_digests_are_of_these_files():
+    names = ("config.json", "instrument.json", "instrument.safetensors")
+    digests = {name: file_digest(SHIPPED / name) for name in names}
+    listed = "".join(f"{digest}  {name}\n" for name, digest in digests.items())
+    assert (SHIPPED / "SHA256SUMS").read_text() == listed
+    card = (SHIPPED / "MODEL_CARD.md").read_text()
+    assert digests["instrument.safetensors"] in card
+    assert load_instrument(SHIPPED).card["dataset_digest"] in card
+    packaged = tomllib.loads((ROOT / "pyproject.toml").read_text())
+    assert "shipped/*" in packaged["tool"]["setuptools"]["package-data"]["slipstitch.film.measure"]
+
+
+def test_an_audit_of_it_is_sent_to_the_folder_that_holds_its_chain(capsys):
+    assert "results/published/instrument of the repository: audit that folder" in refused(
+        capsys, ["audit", str(SHIPPED)]
+    )
+
+
+@pytest.mark.parametrize("name", ["config.json", "instrument.json", "instrument.safetensors"])
+def test_an_altered_one_is_refused_in_one_line(name, tmp_path, capsys):
+    model = shutil.copytree(SHIPPED, tmp_path / "model")
+    content = (model / name).read_bytes()
+    (model / name).write_bytes(content.replace(b"0", b"1", 1))
+    assert f"{model / name}: altered" in refused(
+        capsys, ["measure", "--example", "--model", str(model)]
+    )
+
+
+def test_it_is_what_its_configuration_trains():
+    shipped = load_config(SHIPPED / "config.json")
+    now = load_config(
+        *(ROOT / name for name in ("config.yaml", "config/paper.yaml", "config/instrument.yaml"))
+    )
+    for section in ("seed", "grid", "simulation", "sample", "instrument"):
+        assert getattr(shipped, section) == getattr(now, section), section
+    card = load_instrument(SHIPPED).card
+    # The tenth fabric only calibrates the error bars, so that they allow for an unseen one.
+    (unseen,) = now.sample.validation_materials
+    assert {*card["materials"], unseen} == set(now.grid.materials)
+    assert len(now.grid.materials) == 10
+    # The largest only trains, so that it is for coefficients up to 1.5.
+    assert (min(card["frictions"]), max(card["frictions"])) == (0.0, 1.75)
+    assert now.sample.train_only_frictions == [1.75]
+    # Its own pairs that do not train, and other benches by what it read of them before.
+    assert card["calibration_simulations"] == 100
+    read = ROOT / "results/published/camera/drawn_fabrics.json"
+    (elsewhere,) = card["calibration_readings"]
+    assert elsewhere == {"digest": file_digest(read), "videos": 1200, "simulations": 50}
+    assert card["split"] == "by_simulation"
+    low, high = card["pose_range"]["yaw_deg"]
+    assert low < -10 < 10 < high
+
+
+def test_the_example_is_measured_without_any_other_file(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    words = ["--json", "numbers.json", "--out", "page.html"]
+    assert main(["measure", "--example", *words]) == 0
+    said = capsys.readouterr().out
+    assert "the example is simulated, not real" in said
+    known = json.loads((EXAMPLE_FOLDER / "example.json").read_text())
+    told = json.loads((tmp_path / "numbers.json").read_text())
+    low, high = told["interval_90"]
+    assert low <= known["friction"] <= high
+    # ± and interval are stretched alike: of a normal distribution they would be as 1 to 1.64.
+    assert 1.2 < (high - low) / 2 / told["uncertainty"] < 2.1
+    assert not told["alarm"]
+    # The page says what this instrument knows: seven floors that reflect are among its floors.
+    page = (tmp_path / "page.html").read_text()
+    assert f"True value: <b>{known['friction']:.3f}</b>. This example was simulated" in page
+    assert "° from the calibrated viewpoint<br>rotation about the vertical +2 degrees" in page
+    assert "roll +0.1 degrees (trained on -2.1 ... +2.1)" in page
+    config = load_config(SHIPPED / "config.json")
+    assert f"floors other than {', '.join(sorted(config.render.floors))};" in page
+    fabrics = load_instrument(SHIPPED).card["materials"]
+    assert f"fabrics other than {', '.join(sorted(fabrics))};" in page
+    assert "a reflective floor" not in page and "training viewpoint" not in page

@@ -13,7 +13,7 @@ from support import synthetic_cloth
 
 from slipstitch.config.render import RenderSettings
 from slipstitch.images.blender import ClothScene
-from slipstitch.images.composition import compose, join
+from slipstitch.images.composition import Layers, compose, join
 from slipstitch.images.encoding import encode_png, encode_srgb
 from slipstitch.images.packing import render_shadings
 from slipstitch.images.shading import separate
@@ -42,7 +42,7 @@ def shots(trajectory, viewpoint, settings, sampled):
     return View("one.parquet", "v00", viewpoint, settings, sampled, 0).shots(trajectory)
 
 
-def compare(pixels, viewpoint, frames, textures, surroundings=MATTE):
+def compare(pixels, viewpoint, frames, textures, surroundings):
     """PSNR (dB) and SSIM of every (texture, frame)."""
     trajectory = Trajectory(**synthetic_cloth.motion(300, n=41))
     settings = RenderSettings(pixels=pixels, frames="all")
@@ -65,40 +65,23 @@ def compare(pixels, viewpoint, frames, textures, surroundings=MATTE):
     return result
 
 
-def check(measured, reflects):
-    assert min(psnr for psnr, _ in measured.values()) >= LEAST_PSNR_DB[reflects], measured
+BOTH = ["houndstooth", "chevron"]
+
+
+@pytest.mark.default_cases(1)
+@pytest.mark.parametrize(
+    ("pixels", "viewpoint", "frames", "textures", "floor"),
+    [
+        (64, "frontal", {40}, ["houndstooth"], None),
+        (64, "calibrated_-10", {60}, ["tartan"], "polished"),
+        *((pixels, view, {17, 97, 233}, BOTH, None) for pixels in (64, 112) for view in VIEWPOINTS),
+        *((112, view, {61}, BOTH, floor) for floor, view in zip(REFLECTIVE, cycle(VIEWPOINTS))),
+    ],
+)
+def test_composed_images_are_the_direct_ones(pixels, viewpoint, frames, textures, floor):
+    measured = compare(pixels, viewpoint, frames, textures, REFLECTIVE.get(floor, MATTE))
+    assert min(psnr for psnr, _ in measured.values()) >= LEAST_PSNR_DB[bool(floor)], measured
     assert min(similar for _, similar in measured.values()) >= LEAST_SSIM, measured
-
-
-def show(measured):
-    return {key: (round(psnr, 1), round(similar, 3)) for key, (psnr, similar) in measured.items()}
-
-
-def test_a_composed_image_is_the_direct_one_at_64_pixels():
-    check(compare(64, "frontal", {40}, ["houndstooth"]), reflects=False)
-
-
-@pytest.mark.slow
-def test_a_composed_image_on_a_floor_that_mirrors_is_the_direct_one():
-    floor = REFLECTIVE["polished"]
-    check(compare(64, "calibrated_-10", {60}, ["tartan"], floor), reflects=True)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("pixels", [64, 112])
-@pytest.mark.parametrize("viewpoint", VIEWPOINTS)
-def test_composed_images_are_the_direct_ones(pixels, viewpoint):
-    measured = compare(pixels, viewpoint, {17, 97, 233}, ["houndstooth", "chevron"])
-    print(pixels, viewpoint, show(measured))
-    check(measured, reflects=False)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("floor", "viewpoint"), zip(REFLECTIVE, cycle(VIEWPOINTS)))
-def test_composed_images_on_floors_that_mirror_are_the_direct_ones(floor, viewpoint):
-    measured = compare(112, viewpoint, {61}, ["houndstooth", "chevron"], REFLECTIVE[floor])
-    print(floor, viewpoint, show(measured))
-    check(measured, reflects=True)
 
 
 def test_a_uniform_cloth_is_composed_at_every_albedo():
@@ -150,3 +133,60 @@ def test_a_frame_costs_what_it_may():
     print(f"{per_frame:.3f} CPU-s a frame, {1e3 * per_texture:.1f} ms a texture")
     assert per_frame <= 2 * 0.15
     assert per_texture <= 2 * 0.010
+
+
+# Separating and composing light, with numbers instead of images
+
+
+def test_light_separates_by_how_often_it_met_the_cloth():
+    orders = np.random.default_rng(0).uniform(0, 1, (3, 5, 7))
+    albedo = np.array([0.8, 0.0, 0.4])
+    radiance = sum(orders[k][..., None] * albedo**k for k in range(3))
+    np.testing.assert_allclose(separate(radiance), orders, atol=1e-12)
+    # Light of higher orders is kept at the two albedos that were rendered.
+    third = 0.3
+    scene, first, second = separate(third * albedo**3)
+    for a in (0.4, 0.8):
+        assert scene + a * first + a**2 * second == pytest.approx(third * a**3)
+
+
+def test_encoding_inverts_the_srgb_decoding_of_every_level_and_cuts_off_the_rest():
+    level = np.arange(256)
+    value = level / 255
+    linear = np.where(value <= 0.04045, value / 12.92, ((value + 0.055) / 1.055) ** 2.4)
+    np.testing.assert_array_equal(encode_srgb(linear), level)
+    np.testing.assert_array_equal(encode_srgb(np.array([-0.1, 1.3])), [0, 255])
+
+
+def layers(uv, first, second=0.0, scene=0.0, pixels=2):
+    """Every pixel sees the cloth at one point."""
+    count = pixels**2
+    light = np.full((3, count), 1.0) * np.array([scene, first, second])[:, None]
+    return Layers(pixels, np.zeros((3, count)), np.arange(count), np.tile(uv, (count, 1)), light)
+
+
+def test_the_albedo_is_that_of_the_point_seen():
+    # The centre of the first white dot, and the ground half way between two.
+    for uv in ((0.0625, 0.0625), (0.125, 0.0625)):
+        column, row = (int(c * 512) for c in uv)
+        (image,) = compose(layers(np.array(uv), first=0.9), ["dots"])
+        expected = encode_srgb(0.9 * texture("dots")[row, column].astype(float))
+        assert np.abs(image.astype(int) - expected).max() <= 3
+
+
+def test_light_between_folds_takes_the_colour_of_the_cloth_twice():
+    (image,) = compose(layers(np.array([0.5, 0.5]), first=0.0, second=1.0), ["denim"])
+    albedo = texture("denim")
+    expected = encode_srgb(albedo[254:258, 254:258].mean((0, 1)) * albedo.mean((0, 1)))
+    assert np.abs(image[0, 0].astype(int) - expected).max() <= 12
+
+
+def test_what_never_met_the_cloth_does_not_depend_on_the_texture():
+    both = compose(layers(np.array([0.5, 0.5]), first=0.0, scene=0.4), ["dots", "stripes"])
+    np.testing.assert_array_equal(*both)
+
+
+def test_a_frame_without_cloth_composes():
+    nothing = Layers(2, np.full((3, 4), 0.2), np.empty(0, int), np.empty((0, 2)), np.empty((3, 0)))
+    (image,) = compose(nothing, ["linen"])
+    assert image.shape == (2, 2, 3)

@@ -4,9 +4,8 @@ import json
 
 import cv2
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
-from support import synthetic_cloth
+from support import synthetic_cloth, synthetic_videos
 
 from slipstitch.base.provenance import read_metadata
 from slipstitch.cli.main import main
@@ -103,10 +102,6 @@ def test_a_start_found_too_late_takes_the_images_for_later_ones():
     assert np.nanmax(np.abs(pixels(late, 40) - pixels(BenchCamera(), 40))) > 0.5
 
 
-def _decoded(png):
-    return cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
-
-
 EXACT = {"ROTATION_SD_DEG": 0, "POSITION_SD_M": 0, "FOCAL_SD": 0, "START_ERROR_MAX_S": 0}
 
 
@@ -130,8 +125,7 @@ def shard(tmp_path_factory):
             for name, value in (EXACT | constants).items():
                 patch.setattr(bench_camera, name, value)
             assert main(["render", *words, *files]) == 0
-        rows = pq.read_table(out).to_pylist()
-        return read_metadata(out), {row["frame"]: _decoded(row["image"]["bytes"]) for row in rows}
+        return read_metadata(out), synthetic_videos.images_of(out)
 
     return render
 

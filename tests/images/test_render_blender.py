@@ -1,15 +1,19 @@
-"""Blender draws what our cameras and meshes say, the same every time."""
+"""Blender draws what our cameras and meshes say, the same every time; its images are read."""
 
 import math
+import struct
 
 import numpy as np
 import pytest
 from support import synthetic_cloth
 
-from slipstitch.config.catalogue import VIEWPOINTS
+from slipstitch.config.catalogue import VIEWPOINTS, Viewpoint
 from slipstitch.images.blender import ClothScene
 from slipstitch.images.calibrated_view import cloth_room, crop_to
 from slipstitch.images.camera import Camera, pose
+from slipstitch.images.exr import read_exr
+from slipstitch.images.reflection import glint_share
+from slipstitch.images.surroundings import FLOOR_M, Surroundings
 
 
 def view(pixels, name="calibrated", x=0.1):
@@ -22,26 +26,15 @@ def random_camera(seed, pixels, rows=None):
     With `rows`, a lens's camera: an oblong image whose pixels are not square.
     """
     rng = np.random.default_rng(seed)
-    azimuth, elevation = rng.uniform(-math.pi, math.pi), rng.uniform(0.2, 1.2)
-    backwards = np.array(
-        [
-            math.cos(azimuth) * math.cos(elevation),
-            math.sin(azimuth) * math.cos(elevation),
-            math.sin(elevation),
-        ]
-    )
-    right = np.cross(-backwards, [0, 0, 1.0])
-    right /= np.linalg.norm(right)
-    rotation = np.stack([right, np.cross(-backwards, right), -backwards])
-    position = np.array([0.1, 0, 0.1]) + rng.uniform(0.6, 2) * backwards
-    focal = pixels * np.linalg.norm(position) / 0.35
+    seen_from = Viewpoint(rng.uniform(-180, 180), rng.uniform(12, 68), rng.uniform(0.6, 2))
+    focal = pixels * seen_from.distance_m / 0.35
     centre = (pixels - 1) / 2 + rng.uniform(-0.1, 0.1, 2) * pixels
     stretch = 1.0
     if rows:
         centre = (np.array([pixels, rows]) - 1) / 2 + rng.uniform(-0.2, 0.2, 2) * (pixels, rows)
         stretch = math.exp(rng.uniform(-0.3, 0.3))
     matrix = np.array([[focal, 0, centre[0]], [0, focal * stretch, centre[1]], [0, 0, 1]])
-    return Camera(rotation, -rotation @ position, matrix, pixels, rows)
+    return Camera(*pose(seen_from), matrix, pixels, rows)
 
 
 @pytest.fixture(scope="module")
@@ -57,7 +50,7 @@ CAMERAS = [
     view(48),
     *(random_camera(k, 48) for k in range(4)),
     *(random_camera(k, 96, rows) for k in range(4, 14) for rows in (54, 128)),
-    random_camera(98, 1920, 1080),
+    random_camera(98, 480, 270),
 ]
 
 
@@ -124,3 +117,68 @@ def test_nothing_is_printed_to_standard_output(capfd):
     positions = synthetic_cloth.shape(9, 0.1, 0.15, 1.0, 0.0)
     ClothScene(faces, uv).render(positions, view(16), samples=1)
     assert capfd.readouterr().out == ""
+
+
+@pytest.mark.parametrize(("viewpoint", "roughness"), [("side", 0.5), ("calibrated", 0.4)])
+def test_the_glint_s_share_is_blender_s(viewpoint, roughness):
+    # With a floor that only mirrors and one that only scatters, under the lamp alone: what the
+    # mirror adds to the lamp's light, over all of it.
+    camera = crop_to(pose(VIEWPOINTS[viewpoint]), FLOOR_M * 0.3 + [0.1, 0, 0], 24)
+    aside = np.array([[5.0, 5.0, 5.0], [5.1, 5.0, 5.0], [5.0, 5.1, 5.0]])
+    uv = np.array([[0, 0], [1, 0], [0, 1.0]])
+
+    def lamp(albedo, reflectance):
+        look = Surroundings("reflective", albedo, reflectance, roughness)
+        scene = ClothScene(np.array([[0, 1, 2]]), uv, look)
+        return scene.render(aside, camera, samples=64).radiance[0, ..., 0], look
+
+    whole, look = lamp(0.2, 0.3)
+    mirrored, _ = lamp(0.0, 0.3)
+    share = glint_share(look, FLOOR_M[0, 2], camera)
+    floor = whole > 0
+    assert floor.mean() > 0.5
+    np.testing.assert_allclose(share[floor], (mirrored / np.maximum(whole, 1e-9))[floor], atol=0.02)
+    assert share[floor].max() > 0.1
+
+
+def exr(channels, compression=0, kind=2, version=2):
+    height, width = next(iter(channels.values())).shape
+    window = struct.pack("<4i", 0, 0, width - 1, height - 1)
+    listing = b"".join(
+        name.encode() + b"\0" + struct.pack("<iIii", kind, 0, 1, 1) for name in channels
+    )
+    header = b"".join(
+        name + b"\0" + form + b"\0" + struct.pack("<I", len(value)) + value
+        for name, form, value in (
+            (b"channels", b"chlist", listing + b"\0"),
+            (b"compression", b"compression", bytes([compression])),
+            (b"dataWindow", b"box2i", window),
+        )
+    )
+    lines = b"".join(
+        struct.pack("<iI", y, 4 * width * len(channels))
+        + b"".join(values[y].astype("<f4").tobytes() for values in channels.values())
+        for y in range(height)
+    )
+    return struct.pack("<II", 20000630, version) + header + b"\0" + bytes(8 * height) + lines
+
+
+def test_channels_come_back_by_name(tmp_path):
+    rng = np.random.default_rng(1)
+    channels = {name: rng.normal(size=(3, 5)).astype(np.float32) for name in ("L.B", "L.G", "L.U")}
+    path = tmp_path / "a.exr"
+    path.write_bytes(exr(channels))
+    read = read_exr(path)
+    assert list(read) == list(channels)
+    for name, values in channels.items():
+        np.testing.assert_array_equal(read[name], values)
+
+
+@pytest.mark.parametrize(
+    "change", [{"compression": 3}, {"kind": 1}, {"version": 2 | 0x1000}], ids=str
+)
+def test_other_layouts_are_refused(tmp_path, change):
+    path = tmp_path / "a.exr"
+    path.write_bytes(exr({"R": np.zeros((2, 2))}, **change))
+    with pytest.raises(ValueError, match=r"a\.exr"):
+        read_exr(path)

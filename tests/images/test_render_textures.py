@@ -1,41 +1,30 @@
-"""Cloth textures: made by formula, the same every time, with albedos that cloth can have."""
+"""Textures made by formula, and settings with only those (and the viewpoints) that exist."""
 
 import numpy as np
 import pytest
+from pydantic import ValidationError
 
-from slipstitch.base.errors import BadInput
-from slipstitch.config.catalogue import TEXTURE_FAMILY, TEXTURES
+from slipstitch.config.catalogue import TEST_ONLY_TEXTURES, TEXTURE_FAMILY, TEXTURES
+from slipstitch.config.render import RenderSettings
+from slipstitch.design.grid import texture_ids, viewpoint_ids
 from slipstitch.images.textures import texture, worn_texture
 
 
-@pytest.mark.parametrize("name", TEXTURES)
+@pytest.mark.parametrize("name", [*TEXTURES, *(f"cloth_1:{number}" for number in range(12))])
 def test_a_texture_is_the_same_every_time_with_albedos_of_cloth(name):
     albedo = texture(name)
-    assert albedo.shape == (512, 512, 3)
-    assert albedo.min() >= np.float32(0.02)
-    assert albedo.max() <= np.float32(0.8)
+    assert albedo.shape == (512, 512, 3) and albedo.dtype == np.float32
+    assert np.float32(0.02) <= albedo.min() and albedo.max() <= np.float32(0.8)
     # There is a pattern to follow, in luminance, not only in hue.
-    assert (albedo @ [0.2126, 0.7152, 0.0722]).std() > 0.02
+    assert name not in TEXTURES or (albedo @ [0.2126, 0.7152, 0.0722]).std() > 0.02
     np.testing.assert_array_equal(texture.__wrapped__(name), albedo)
 
 
 def test_textures_differ():
+    assert (len(TEXTURES), len(TEST_ONLY_TEXTURES)) == (9, 1)
     means = np.array([texture(name)[::8, ::8].ravel() for name in TEXTURES])
     apart = np.abs(means[:, None] - means[None]).mean(axis=-1)
     assert apart[~np.eye(len(means), dtype=bool)].min() > 0.03
-
-
-def test_a_texture_that_is_not_there_is_bad_input():
-    with pytest.raises(BadInput, match="unknown texture 'plaid'; known: stripes"):
-        texture("plaid")
-
-
-@pytest.mark.parametrize("number", range(12))
-def test_drawn_cloths_have_albedos_that_cloth_can_have(number):
-    albedo = texture(f"cloth_1:{number}")
-    assert albedo.shape == (512, 512, 3) and albedo.dtype == np.float32
-    assert np.float32(0.02) <= albedo.min() and albedo.max() <= np.float32(0.8)
-    np.testing.assert_array_equal(texture.__wrapped__(f"cloth_1:{number}"), albedo)
 
 
 @pytest.mark.slow
@@ -54,7 +43,31 @@ def test_every_film_wears_a_cloth_of_its_own():
     pictures = np.array([texture(name)[::16, ::16].ravel() for name in sorted(names)])
     apart = np.abs(pictures[:, None] - pictures[None]).mean(axis=-1)
     assert apart[~np.eye(len(pictures), dtype=bool)].min() > 0.005
+    assert worn_texture("denim", 0, "m00_f0100_r00", "bench_1") == "denim"  # of the catalogue
 
 
-def test_textures_of_the_catalogue_are_the_same_in_every_film():
-    assert worn_texture("denim", 0, "m00_f0100_r00", "bench_1") == "denim"
+def test_ids_count_training_names_first():
+    settings = RenderSettings(
+        textures=["dots", "denim"],
+        test_textures=["chevron"],
+        viewpoints=["side"],
+        test_viewpoints=["calibrated_+5", "frontal"],
+    )
+    assert texture_ids(settings) == {"t00": "dots", "t01": "denim", "t02": "chevron"}
+    assert viewpoint_ids(settings) == {"v00": "side", "v01": "calibrated_+5", "v02": "frontal"}
+
+
+@pytest.mark.parametrize(
+    ("keys", "message"),
+    [
+        ({"textures": ["dots", "dots"]}, "duplicate"),
+        ({"textures": ["dots"], "test_textures": ["dots"]}, "share dots"),
+        ({"textures": ["chevron"]}, "chevron: for testing only"),
+        ({"viewpoints": ["calibrated_-10"]}, "calibrated_-10: for testing only"),
+        ({"pixels": 8}, "greater than or equal to 16"),
+        ({"frames": "some"}, "'sampled' or 'all'"),
+    ],
+)
+def test_impossible_settings_are_refused(keys, message):
+    with pytest.raises(ValidationError, match=message.replace("+", r"\+")):
+        RenderSettings(**keys)

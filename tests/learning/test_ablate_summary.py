@@ -118,14 +118,11 @@ def test_runs_at_chance_and_diverged_ones_are_in_the_row_and_the_sentence():
     assert "in no seed did both train without diverging" in found["sentence"]
 
 
-def test_one_seed_or_one_simulation_says_so():
+def test_one_seed_one_simulation_and_the_test_set_are_said():
     assert "the interval does not cover other seeds" in concluded(0.04, seeds=1)["sentence"]
     found = concluded(0.04, simulations=1)
     assert found["verdict"] == "not compared" and found["difference"] is not None
     assert "one test simulation does not generalise to others" in found["sentence"]
-
-
-def test_the_test_set_stands_in_the_sentence():
     sentence = concluded(0.04, tested_on="mirroring floors")["sentence"]
     assert sentence.startswith("lrcn, tested on mirroring floors: ")
 

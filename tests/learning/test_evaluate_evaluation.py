@@ -9,6 +9,7 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from support import synthetic_videos
+from support.models import train_networks
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import file_digest, read_provenance
@@ -18,7 +19,6 @@ from slipstitch.config.train import REFLECTIVE, TRAINED_ON
 from slipstitch.dataset.dataset import write_dataset
 from slipstitch.dataset.videos import read_videos
 from slipstitch.design.grid import friction_id
-from slipstitch.design.trainable import trainings
 from slipstitch.film.measure import SHIPPED
 from slipstitch.film.measure.measuring_bench import shipped_for
 from slipstitch.learning.evaluation.evaluation import Outputs, write_evaluation
@@ -30,7 +30,6 @@ from slipstitch.learning.evaluation.trained import Trained
 from slipstitch.learning.instrument.ensemble import combine_instruments, recalibrate_instrument
 from slipstitch.learning.instrument.training import train_instrument
 from slipstitch.learning.lrcn_model import load_model
-from slipstitch.learning.lrcn_training import train_network
 from slipstitch.learning.trainer import Run
 
 CONFIG = synthetic_videos.config(
@@ -54,16 +53,9 @@ def chain(tmp_path_factory):
     folder = tmp_path_factory.mktemp("chain")
     synthetic_videos.write_dataset(CONFIG, folder)
     for split in TRAINED_ON:
-        for network, _ in trainings(CONFIG.train, split):
-            material = folder / "train" / split / "material_baseline" / "seed0"
-            train_network(
-                # Of one split the networks before fine-tuning too.
-                CONFIG.train.model_copy(update={"keep_all_views": split == KEPT}),
-                Run(folder / "sample", split, 0, folder / "train" / split / network / "seed0"),
-                network,
-                CONFIG.render.viewpoints,
-                material_model=material if network == "friction_conditional" else None,
-            )
+        # Of one split the networks before fine-tuning too.
+        train = CONFIG.train.model_copy(update={"keep_all_views": split == KEPT})
+        train_networks(CONFIG.model_copy(update={"train": train}), folder, split)
         if split == REFLECTIVE:
             continue
         train_instrument(
@@ -196,6 +188,9 @@ def test_the_tables_follow_from_the_predictions(evaluated):
                 continue
             counts = np.array(details[split][network]["confusion"])
             assert counts.trace() / counts.sum() == pytest.approx(right)
+    for name in ("metrics.json", "details.json", "predictions.parquet"):
+        record = read_provenance(evaluated / name)
+        assert record["stage"] == "evaluate" and len(record["inputs"]) == 1 + 2 * (8 + 3) + 2
     for row in rows:
         probe = row["network"].startswith(PREFIX)
         assert probe or sum(row["probabilities"]) == pytest.approx(1.0)
@@ -244,12 +239,6 @@ def test_wrong_inputs_are_what_they_are_called():
     assert abs(made["empty"].astype(int) - floor).max() <= 6
     changed = (made["object"] != made["empty"]).any(-1)
     assert changed[:, :, 14:18, 14:18].all() and not changed[:, :, :6].any()
-
-
-def test_every_file_says_where_it_comes_from(evaluated):
-    for name in ("metrics.json", "details.json", "predictions.parquet"):
-        record = read_provenance(evaluated / name)
-        assert record["stage"] == "evaluate" and len(record["inputs"]) == 1 + 2 * (8 + 3) + 2
 
 
 @pytest.mark.slow
@@ -354,19 +343,20 @@ def test_instruments_alone_are_evaluated_by_camera_fabric_and_coefficient(tmp_pa
     left_over = tmp_path / "instrument/by_simulation/seed7" / trained.name
     left_over.parent.mkdir()
     left_over.write_text("of an earlier configuration")
-    names = [tmp_path / name for name in ("metrics.json", "predictions.parquet", "details.json")]
+    table = tmp_path / "predictions.parquet"
+    jsons = [tmp_path / name for name in ("metrics.json", "details.json")]
 
     def evaluated(seeds, **options):
+        """Scores and details of the only split."""
         with contextlib.chdir(tmp_path):
             instruments = Trained(None, tmp_path / "instrument", instrument_seeds=seeds)
-            return evaluate(tmp_path, instruments, tmp_path, **options)
+            assert set(evaluate(tmp_path, instruments, tmp_path, **options)) == {"by_simulation"}
+        return [content(path)["by_simulation"] for path in jsons]
 
-    metrics = evaluated([0])
-    assert set(metrics) == {"by_simulation"}
-    for name in names:
-        assert set(read_provenance(name)["inputs"]) == {"sample/manifest.parquet", str(trained)}
-    instrument = content(names[2])["by_simulation"]["instrument"]
-    rows = predictions(names[1])
+    instrument = evaluated([0])[1]["instrument"]
+    for path in (table, *jsons):
+        assert set(read_provenance(path)["inputs"]) == {"sample/manifest.parquet", str(trained)}
+    rows = predictions(table)
     assert {row["viewpoint"] for row in rows} == {"calibrated", "bench_1"}
     assert len(rows) == instrument["n"]
     poses = {"yaw_deg": 5, "pitch_deg": 4, "farther_percent": 10}
@@ -376,19 +366,14 @@ def test_instruments_alone_are_evaluated_by_camera_fabric_and_coefficient(tmp_pa
         assert all(int(value) % step == 0 for value in instrument["by"][kind])
     for kind, parts in instrument["by"].items():
         assert sum(part["n"] for part in parts.values()) == instrument["n"], kind
-    off = {mu: part["mean_absolute_error"] for mu, part in instrument["by"]["friction"].items()}
-    for mu, error in off.items():
-        errors = [
-            abs(row["predicted_value"] - row["true_value"])
-            for row in rows
-            if f"{row['true_value']:g}" == mu
-        ]
-        assert error == pytest.approx(np.mean(errors))
+    for mu, part in instrument["by"]["friction"].items():
+        of_mu = [row for row in rows if f"{row['true_value']:g}" == mu]
+        errors = [abs(row["predicted_value"] - row["true_value"]) for row in of_mu]
+        assert part["mean_absolute_error"] == pytest.approx(np.mean(errors))
 
     # Averaged later, when the images of all but the test's simulations are gone.
-    evaluated([0, 1])
-    before = [content(name) for name in (names[0], names[2])]
-    rows = predictions(names[1])
+    before = evaluated([0, 1])
+    rows = predictions(table)
     with contextlib.chdir(tmp_path):
         combine_instruments(
             [member.relative_to(tmp_path) for member in members],
@@ -401,24 +386,20 @@ def test_instruments_alone_are_evaluated_by_camera_fabric_and_coefficient(tmp_pa
     for shard in (tmp_path / "sample").glob("m0*.parquet"):
         if shard.name not in tested:
             shard.unlink()
-    evaluated([0, 1], update=True)
-    after = [content(name) for name in (names[0], names[2])]
-    average = {
-        name: one["by_simulation"].pop("instrument_ensemble")
-        for name, one in zip(("metrics", "details"), after, strict=True)
-    }
+    after = evaluated([0, 1], update=True)
+    scores, details = (one.pop("instrument_ensemble") for one in after)
     assert after == before
-    assert average["metrics"]["seeds"] == [0, 1]
-    assert list(average["details"]["seeds"]) == list(average["details"]["alarms"]) == ["ensemble"]
-    now = predictions(names[1])
+    assert scores["seeds"] == [0, 1]
+    assert list(details["seeds"]) == list(details["alarms"]) == ["ensemble"]
+    now = predictions(table)
     assert [row for row in now if row["network"] == "instrument"] == rows
     averaged = [row for row in now if row["network"] == "instrument_ensemble"]
     assert [row["video"] for row in averaged] == [row["video"] for row in rows if not row["seed"]]
     assert {row["seed"] for row in averaged} == {None}
-    inputs = read_provenance(names[0])["inputs"]
+    inputs = read_provenance(jsons[0])["inputs"]
     assert {Path(name).parent.name for name in inputs} == {"sample", "seed0", "seed1", "ensemble"}
-    evaluated([0, 1], update=True)  # nothing to do
-    assert content(names[0])["by_simulation"]["instrument_ensemble"] == average["metrics"]
+    # Nothing to do.
+    assert evaluated([0, 1], update=True)[0]["instrument_ensemble"] == scores
 
     # Stretched by what it reads of other benches, when all images are gone.
     ensemble = tmp_path / "instrument/by_simulation/ensemble"
@@ -429,19 +410,16 @@ def test_instruments_alone_are_evaluated_by_camera_fabric_and_coefficient(tmp_pa
         recalibrate_instrument(ensemble, tmp_path / "again", ["bench/sample"])
     shutil.copytree(tmp_path / "again", ensemble, dirs_exist_ok=True)
     shutil.copytree(images, tmp_path / "sample", dirs_exist_ok=True)
-    evaluated([0, 1])
-    with_images = [content(name)["by_simulation"] for name in (names[0], names[2])]
-    whole = pq.read_table(names[1]).to_pylist()
+    with_images = evaluated([0, 1])
+    whole = pq.read_table(table).to_pylist()
     for path, held in scored.items():
         path.write_bytes(held)
     for shard in (tmp_path / "sample").glob("m0*.parquet"):
         shard.unlink()
-    evaluated([0, 1], update=True)
-    for one, other in zip((names[0], names[2]), with_images, strict=True):
-        assert content(one)["by_simulation"] == other
-    assert with_images[0]["instrument_ensemble"] != average["metrics"]
-    assert pq.read_table(names[1]).to_pylist() == whole
-    inputs = read_provenance(names[0])["inputs"]
+    assert evaluated([0, 1], update=True) == with_images
+    assert with_images[0]["instrument_ensemble"] != scores
+    assert pq.read_table(table).to_pylist() == whole
+    inputs = read_provenance(jsons[0])["inputs"]
     assert file_digest(ensemble / "instrument.safetensors") in inputs.values()
 
 

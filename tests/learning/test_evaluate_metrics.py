@@ -34,9 +34,7 @@ def test_friction_scores_of_known_answers():
         "friction_lt_0.2": 0.75,
         "mean_absolute_error": pytest.approx(0.1),
     }
-
-
-def test_a_coarse_grid_counts_only_the_exact_class():
+    # A coarse grid counts only the exact class.
     coefficients = np.array([0.1, 0.3, 0.6])
     scores = friction_scores(coefficients, coefficients[[0, 0, 2]])
     assert scores["friction_lt_0.1"] == scores["friction_lt_0.2"] == pytest.approx(2 / 3)
@@ -85,19 +83,13 @@ def test_scores_need_no_torch():
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
 
 
-def test_an_altered_prediction_alters_the_scores():
+def test_a_table_gives_an_entry_with_every_field_and_null_where_nothing_is_known():
     rows = table("friction_baseline", "ab", "ab")
-    (whole,) = metrics_of_table(rows, {})["by_video"].values()
-    (altered,) = metrics_of_table([rows[0], rows[1] | {"predicted_value": 0.6}], {})[
-        "by_video"
-    ].values()
-    assert (whole["friction_lt_0.1"], altered["friction_lt_0.1"]) == (1.0, 0.5)
-
-
-def test_an_entry_has_every_field_and_null_where_nothing_is_known():
-    one = entry(7, [0, 1], {"friction_lt_0.1": 0.5})
-    assert tuple(one) == FIELDS
-    assert one["n"] == 7 and one["seeds"] == [0, 1] and one["coverage_90"] is None
+    for answer, share in (({}, 1.0), ({"predicted_value": 0.6}, 0.5)):
+        (one,) = metrics_of_table([rows[0], rows[1] | answer], {})["by_video"].values()
+        assert one["friction_lt_0.1"] == share
+    assert tuple(one) == tuple(entry(7, [0, 1], {})) == FIELDS
+    assert (one["n"], one["seeds"], one["coverage_90"]) == (2, [0], None)
 
 
 def test_seeds_give_a_mean_and_their_standard_deviation():

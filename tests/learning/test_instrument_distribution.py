@@ -30,13 +30,6 @@ def cumulative_of(mean, deviation):
     return mixture_cumulative(parameters.double(), middles)
 
 
-def test_a_mixture_of_two_equal_normals_is_that_normal():
-    middles = (GRID[1:] + GRID[:-1]) / 2
-    np.testing.assert_allclose(
-        cumulative_of(0.6, 0.1)[0].numpy(), norm.cdf(middles, 0.6, 0.1), atol=1e-6
-    )
-
-
 @pytest.mark.parametrize(("truth", "deviation"), [(0.6, 0.1), (0.734, 0.1), (0.5, 0.03)])
 def test_the_loss_is_the_closed_form_of_a_normal_distribution(truth, deviation):
     # Gneiting & Raftery 2007, eq. 21: sigma [z (2 Phi(z) - 1) + 2 phi(z) - 1 / sqrt(pi)].
@@ -48,8 +41,10 @@ def test_the_loss_is_the_closed_form_of_a_normal_distribution(truth, deviation):
     assert score.item() == pytest.approx(closed, abs=2e-4)
 
 
-def test_quantiles_of_a_normal_distribution_on_the_grid():
-    shares = probabilities_on_grid(cumulative_of(0.6, 0.1).numpy())
+def test_a_mixture_of_two_equal_normals_is_that_normal_and_has_its_quantiles():
+    cumulative, middles = cumulative_of(0.6, 0.1).numpy(), (GRID[1:] + GRID[:-1]) / 2
+    np.testing.assert_allclose(cumulative[0], norm.cdf(middles, 0.6, 0.1), atol=1e-6)
+    shares = probabilities_on_grid(cumulative)
     assert shares.sum() == pytest.approx(1.0)
     found = quantiles(shares, GRID, np.array([0.05, 0.5, 0.95]))[0]
     np.testing.assert_allclose(found, norm.ppf([0.05, 0.5, 0.95], 0.6, 0.1), atol=1e-3)
@@ -87,12 +82,10 @@ def test_the_quantile_counts_every_group_once():
     assert grouped_quantile(scores, groups, 0.5) == 2.0
     assert grouped_quantile(scores, groups, 0.625) == 6.0
     assert grouped_quantile(scores, groups, 0.76) == np.inf
-
-
-def test_too_few_groups_promise_nothing():
-    scores = np.arange(9.0)
-    assert np.isfinite(grouped_quantile(scores, [str(n) for n in range(9)], 0.9))
-    assert grouped_quantile(scores[:8], [str(n) for n in range(8)], 0.9) == np.inf
+    # Eight groups are too few to promise nine tenths.
+    each = [str(number) for number in range(9)]
+    assert np.isfinite(grouped_quantile(scores[:9], each, 0.9))
+    assert grouped_quantile(scores[:8], each[:8], 0.9) == np.inf
 
 
 @pytest.mark.parametrize("scores", [[], [1.0, 2.0], [np.nan]])
@@ -207,9 +200,6 @@ def test_an_embedding_or_an_order_that_is_strange_raises_it_and_is_named(alarm, 
     assert caught == 1.0 and "outside the training distribution" in reason
     caught, reason = share(alarm, new[:60], order=np.full(60, -30.0))
     assert caught == 1.0 and "order of the frames does not match" in reason
-
-
-def test_an_answer_that_is_no_number_raises_it(alarm, new):
     assert share(alarm, new[:3], order=np.full(3, np.nan))[0] == 1.0
 
 

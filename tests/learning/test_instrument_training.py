@@ -7,12 +7,12 @@ import numpy as np
 import pytest
 import torch
 from support import synthetic_videos
+from support.models import held_out
 
 from slipstitch.base.errors import BadInput
 from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.config.instrument import InstrumentSettings
-from slipstitch.dataset.videos import read_videos
 from slipstitch.learning.instrument.augmentation import disordered, phased
 from slipstitch.learning.instrument.keypoints import (
     KEYPOINT_ERROR_M,
@@ -73,10 +73,7 @@ def folder(dataset, tmp_path_factory):
 @pytest.fixture(scope="module")
 def tests(dataset):
     """Videos of simulations that neither trained nor calibrated, from the measuring viewpoint."""
-    videos = read_videos(
-        dataset,
-        lambda row: row["split_by_simulation"] == "test" and row["viewpoint"] == "calibrated",
-    )
+    videos = held_out(dataset)
     return videos, phased(videos.pixels, 6, None)
 
 
@@ -188,6 +185,15 @@ def leaking(rows):
     same[0]["split_by_simulation"], same[1]["split_by_simulation"] = "train", "validation"
 
 
+def command(dataset, tmp_path, **settings):
+    """Train for an epoch by the command line; the exit code."""
+    section = InstrumentSettings(**{**SETTINGS.model_dump(), "epochs": 1, **settings})
+    write_config(CONFIG.model_copy(update={"instrument": section}), tmp_path / "c.json")
+    arguments = ["--config", str(tmp_path / "c.json"), "--dataset", str(dataset)]
+    arguments += ["--split", "by_simulation", "--seed", "0", "--out-dir", str(tmp_path / "out")]
+    return main(["instrument", *arguments])
+
+
 @pytest.mark.parametrize(
     ("change", "settings", "code", "words"),
     [
@@ -201,21 +207,21 @@ def leaking(rows):
 def test_what_cannot_be_learnt_stops_the_command_with_one_line(
     dataset, tmp_path, capsys, change, settings, code, words
 ):
-    data = (
-        dataset
-        if change is None
-        else synthetic_videos.altered_copy(dataset, tmp_path / "data", change)
-    )
-    section = InstrumentSettings(**{**SETTINGS.model_dump(), "epochs": 1, **settings})
-    config = CONFIG.model_copy(update={"instrument": section})
-    write_config(config, tmp_path / "c.json")
-    arguments = ["--config", str(tmp_path / "c.json"), "--dataset", str(data)]
-    arguments += ["--split", "by_simulation", "--seed", "0", "--out-dir", str(tmp_path / "out")]
-    assert main(["instrument", *arguments]) == code
+    if change:
+        dataset = synthetic_videos.altered_copy(dataset, tmp_path / "data", change)
+    assert command(dataset, tmp_path, **settings) == code
     said = [line for line in capsys.readouterr().err.splitlines() if ": epoch 1/1: " not in line]
     assert len(said) == 1 and words in said[0]
     assert said[0].startswith("slipstitch instrument: ")
     assert not (tmp_path / "out" / "instrument.safetensors").exists()
+
+
+@pytest.mark.slow
+def test_the_command_trains_and_says_how_it_went(dataset, tmp_path, capsys):
+    assert command(dataset, tmp_path, plateau_margin=None) == 0
+    said = capsys.readouterr().out
+    assert "1 epochs on 36 videos of 18 simulations" in said
+    assert "calibrated on 12 simulations" in said
 
 
 def test_chance_is_the_score_of_the_labels_distribution():
@@ -331,17 +337,3 @@ def test_the_curve_in_the_terminal_falls_as_the_loss_does():
     assert curve([1.0, float("nan"), 2.0]) == "▁ █"
     assert len(curve(list(range(100)))) == 16
     assert curve([]) == ""
-
-
-@pytest.mark.slow
-def test_the_command_trains_and_says_how_it_went(dataset, tmp_path, capsys):
-    small = {**SETTINGS.model_dump(), "epochs": 1, "plateau_margin": None}
-    write_config(
-        CONFIG.model_copy(update={"instrument": InstrumentSettings(**small)}), tmp_path / "c.json"
-    )
-    arguments = ["--config", str(tmp_path / "c.json"), "--dataset", str(dataset)]
-    arguments += ["--split", "by_simulation", "--seed", "0", "--out-dir", str(tmp_path / "out")]
-    assert main(["instrument", *arguments]) == 0
-    said = capsys.readouterr().out
-    assert "1 epochs on 36 videos of 18 simulations" in said
-    assert "calibrated on 12 simulations" in said

@@ -20,7 +20,7 @@ from slipstitch.dataset.probes import (
     standardised,
     untold_features,
 )
-from slipstitch.dataset.videos import ROLES, Videos
+from slipstitch.dataset.videos import ROLES, Videos, read_videos, takes_part
 from slipstitch.learning.evaluation.probes import (
     MIDDLE_FRAME,
     WHAT,
@@ -41,15 +41,14 @@ CONFIG = synthetic_videos.config(
 
 
 @pytest.fixture(scope="module")
-def shards(tmp_path_factory):
-    return synthetic_videos.write_shards(CONFIG, tmp_path_factory.mktemp("render"))
+def dataset(tmp_path_factory):
+    return synthetic_videos.write_dataset(CONFIG, tmp_path_factory.mktemp("dataset"))
 
 
-@pytest.fixture(scope="module")
-def dataset(shards, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("sample")
-    write_dataset(CONFIG, shards, folder)
-    return folder
+def row_of(**columns):
+    """A row of the manifest, of a video that trains."""
+    trains = dict.fromkeys([f"{kind}_role" for kind in ROLES], "train")
+    return {**trains, "viewpoint": "calibrated", "viewpoint_id": "v00", **columns}
 
 
 def grid_of_images(leak: float, seed: int = 0, viewpoint: str = "calibrated"):
@@ -67,18 +66,16 @@ def grid_of_images(leak: float, seed: int = 0, viewpoint: str = "calibrated"):
             for t in range(6):
                 side = random.choice(["train", "test"], p=[0.75, 0.25])
                 rows.append(
-                    {
-                        **dict.fromkeys([f"{kind}_role" for kind in ROLES], "train"),
-                        "friction": 0.1 * f,
-                        "friction_id": f"f{100 * f:04d}",
-                        "material_id": f"m{m}",
-                        "texture_id": f"t{t}",
-                        "viewpoint": viewpoint,
-                        "viewpoint_id": "v00",
-                        "simulation": f"m{m}f{f}",
-                        "split_by_video": side,
-                        "split_by_simulation": "test" if (m + f) % 4 == 0 else "train",
-                    }
+                    row_of(
+                        friction=0.1 * f,
+                        friction_id=f"f{100 * f:04d}",
+                        material_id=f"m{m}",
+                        texture_id=f"t{t}",
+                        viewpoint=viewpoint,
+                        simulation=f"m{m}f{f}",
+                        split_by_video=side,
+                        split_by_simulation="test" if (m + f) % 4 == 0 else "train",
+                    )
                 )
                 images.append(128 + texture[t] + fabric[m] + leak * own[m, f])
     return rows, np.clip(np.stack(images), 0, 255).astype(np.uint8)
@@ -152,7 +149,7 @@ def test_every_probe_is_a_row_in_both_splits_and_the_motion_shows_in_the_middle(
 
 @pytest.mark.slow
 def test_a_floor_that_knows_the_coefficient_is_found_in_the_first_frame(dataset):
-    videos = _videos(dataset)
+    videos = read_videos(dataset, takes_part, 32, 2)
     pixels = videos.pixels.copy()
     for row, video in zip(videos.rows, pixels, strict=True):
         video[0, -4:] = int(20 + 60 * row["friction"])  # below the cloth
@@ -185,18 +182,16 @@ def planted(leak, seed=3, floors=("train",)):
             images.append(image)
             sizes.append(900 + random.integers(9) + 10 * label[k] * (leaks == "file_size"))
             rows.append(
-                {
-                    **dict.fromkeys([f"{kind}_role" for kind in ROLES], "train"),
-                    "floor_role": role,
-                    "friction_id": f"f{label[k]}",
-                    "material_id": f"m{k % 3}",
-                    "texture_id": f"t{k % 2}",
-                    "viewpoint": "calibrated",
-                    "viewpoint_id": f"v{len(images) > 240:02d}",
-                    "simulation": f"s{k}",
-                    "split_by_video": sides[k],
-                    "split_by_simulation": sides[k],
-                }
+                row_of(
+                    floor_role=role,
+                    friction_id=f"f{label[k]}",
+                    material_id=f"m{k % 3}",
+                    texture_id=f"t{k % 2}",
+                    viewpoint_id=f"v{len(images) > 240:02d}",
+                    simulation=f"s{k}",
+                    split_by_video=sides[k],
+                    split_by_simulation=sides[k],
+                )
             )
     return rows, np.clip(np.stack(images), 0, 255).astype(np.uint8), np.array(sizes)
 
@@ -262,9 +257,3 @@ def commented(png: bytes, length: int) -> bytes:
     body = b"tEXt" + b"Comment\0" + bytes(length)
     chunk = struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body))
     return png[:33] + chunk + png[33:]
-
-
-def _videos(dataset):
-    from slipstitch.dataset.videos import read_videos, takes_part
-
-    return read_videos(dataset, takes_part, 32, 2)

@@ -11,6 +11,7 @@ import torch
 from safetensors import safe_open
 from safetensors.torch import save_file
 from support import synthetic_videos
+from support.refusal import refused
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import read_sidecar
@@ -51,6 +52,40 @@ def kill(progress):
         raise KeyboardInterrupt
 
 
+def begins_at(dataset, out, **options):
+    """The first step of a training that is stopped after it."""
+    steps = []
+
+    def stop(progress):
+        steps.append(progress.step)
+        raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        train(dataset, out, changes=FEW, after_step=stop, **options)
+    return steps[0]
+
+
+@pytest.fixture(scope="module")
+def checkpoint(dataset, tmp_path_factory):
+    """What a training leaves that was killed at its second step."""
+    folder = tmp_path_factory.mktemp("killed")
+    with pytest.raises(KeyboardInterrupt):
+        train(dataset, folder, changes=FEW, after_step=kill)
+    return folder / "checkpoint.safetensors"
+
+
+@pytest.fixture(scope="module")
+def undisturbed(dataset, tmp_path_factory):
+    """The files of that training where nothing kills it."""
+    return trained(dataset, tmp_path_factory.mktemp("undisturbed"))
+
+
+def trained(dataset, folder, seed=0):
+    train(dataset, folder, seed=seed, changes=FEW)
+    files = ("model.safetensors", "model.json", "history.csv")
+    return {file: (folder / file).read_bytes() for file in files}
+
+
 def history(folder):
     with open(folder / "history.csv", newline="") as stream:
         return list(csv.DictReader(stream))
@@ -60,7 +95,7 @@ def history(folder):
 def material(dataset, tmp_path_factory):
     """A trained material network of the split by simulation."""
     folder = tmp_path_factory.mktemp("material")
-    train(dataset, folder, "material_baseline")
+    train(dataset, folder, "material_baseline", changes=FEW)
     return folder
 
 
@@ -129,20 +164,12 @@ def test_the_network_before_fine_tuning_is_kept_and_tells_the_material(dataset, 
     assert card["condition_sha256"] == kept.card["weights_sha256"]
 
 
-def test_a_training_goes_on_elsewhere_to_the_same_bits(dataset, tmp_path):
+def test_a_training_goes_on_elsewhere_to_the_same_bits(dataset, checkpoint, undisturbed, tmp_path):
     """With a copy of the dataset, from a copy of the checkpoint alone."""
-    with pytest.raises(KeyboardInterrupt):
-        train(dataset, tmp_path / "here", changes=FEW, after_step=kill)
     elsewhere = synthetic_videos.altered_copy(dataset, tmp_path / "copy", lambda rows: None)
-    (tmp_path / "there").mkdir()
-    shutil.copy(tmp_path / "here/checkpoint.safetensors", tmp_path / "there")
-    steps = []
-    train(elsewhere, tmp_path / "there", changes=FEW, after_step=lambda one: steps.append(one.step))
-    assert steps[0] == 3
-    train(dataset, tmp_path / "undisturbed", changes=FEW)
-    for name in ("model.safetensors", "model.json", "history.csv"):
-        same = (tmp_path / "undisturbed" / name).read_bytes()
-        assert (tmp_path / "there" / name).read_bytes() == same, name
+    shutil.copy(checkpoint, tmp_path)
+    assert begins_at(elsewhere, tmp_path) == 3
+    assert trained(elsewhere, tmp_path) == undisturbed
 
 
 @pytest.mark.default_cases(1)
@@ -184,18 +211,10 @@ def test_a_training_may_use_part_of_the_videos_in_phases_of_its_own(dataset, tmp
     assert [(row["stage"], row["videos"]) for row in history(tmp_path)] == [("joint", "8")] * 2
 
 
-def test_equal_seeds_give_equal_files_and_other_seeds_other_weights(dataset, tmp_path):
-    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
-        train(dataset, tmp_path / name, seed=seed, changes=FEW)
-    content = {
-        name: {
-            file: (tmp_path / name / file).read_bytes()
-            for file in ("model.safetensors", "model.json", "history.csv")
-        }
-        for name in "abc"
-    }
-    assert content["a"] == content["b"]
-    assert content["a"]["model.safetensors"] != content["c"]["model.safetensors"]
+def test_equal_seeds_give_equal_files_and_other_seeds_other_weights(dataset, undisturbed, tmp_path):
+    assert trained(dataset, tmp_path / "again") == undisturbed
+    other = trained(dataset, tmp_path / "other", seed=1)
+    assert other["model.safetensors"] != undisturbed["model.safetensors"]
 
 
 @pytest.mark.default_cases(1)
@@ -231,23 +250,22 @@ def test_a_killed_training_goes_on_to_the_same_bits(
 
 @pytest.mark.default_cases(1)
 @pytest.mark.parametrize("other", [{"seed": 1}, {"threads": 2}], ids=["seed", "threads"])
-def test_a_checkpoint_of_another_training_is_not_used(dataset, tmp_path, capsys, other):
+def test_a_checkpoint_of_another_training_is_not_used(
+    dataset, undisturbed, tmp_path, capsys, other
+):
     """Sums over several threads round otherwise: the result would be neither run's."""
     with pytest.raises(KeyboardInterrupt):
         train(dataset, tmp_path, changes=FEW, after_step=kill, **other)
-    train(dataset, tmp_path, changes=FEW)
+    assert trained(dataset, tmp_path) == undisturbed
     assert "from another training" in capsys.readouterr().err
-    train(dataset, tmp_path / "fresh", changes=FEW)
-    weights = "model.safetensors"
-    assert (tmp_path / weights).read_bytes() == (tmp_path / "fresh" / weights).read_bytes()
 
 
 @pytest.mark.parametrize("part", ["progress", "identity", "weights", "shape", "all"])
-def test_a_checkpoint_altered_in_any_part_is_said_and_not_used(dataset, tmp_path, capsys, part):
-    with pytest.raises(KeyboardInterrupt):
-        train(dataset, tmp_path, changes=FEW, after_step=kill)
+def test_a_checkpoint_altered_in_any_part_is_said_and_not_used(
+    dataset, checkpoint, tmp_path, capsys, part
+):
     path = tmp_path / "checkpoint.safetensors"
-    with safe_open(path, "pt") as file:
+    with safe_open(checkpoint, "pt") as file:
         notes = file.metadata()
         tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     if part == "weights":
@@ -261,7 +279,7 @@ def test_a_checkpoint_altered_in_any_part_is_said_and_not_used(dataset, tmp_path
     save_file(tensors, path, notes)
     if part == "all":
         path.write_bytes(b"no checkpoint")
-    train(dataset, tmp_path, seed=int(part == "identity"), changes=FEW)
+    assert begins_at(dataset, tmp_path, seed=int(part == "identity")) == 1
     assert "no readable checkpoint; starting from scratch" in capsys.readouterr().err
 
 
@@ -300,18 +318,16 @@ def empty(rows):
             row["split_by_simulation"] = "validation"
 
 
+THREE = {"expected_classes": {"friction": [0.1, 0.3, 0.6]}}
+
+
 @pytest.mark.parametrize(
     ("change", "renew_digest", "options", "words"),
     [
         (leak, True, {}, r"leaks: m\d\d_f\d+_r\d\d is in train and test"),
         (swap, False, {}, "was altered"),
         (empty, True, {}, "friction class f0600 has no training video"),
-        (
-            None,
-            True,
-            {"expected_classes": {"friction": [0.1, 0.3, 0.6]}},
-            r"2 friction classes \(0\.1, 0\.6\), the configuration 3",
-        ),
+        (None, True, THREE, r"2 friction classes \(0\.1, 0\.6\), the configuration 3"),
         (None, True, {"view_order": ["frontal"]}, "no training viewpoint 'frontal'"),
     ],
 )
@@ -325,30 +341,23 @@ def test_a_dataset_that_does_not_fit_is_refused(
         train(changed, tmp_path / "out", **options)
 
 
-def test_swapped_images_are_noticed(dataset, tmp_path):
-    swapped = synthetic_videos.altered_copy(dataset, tmp_path / "swapped", lambda rows: None)
-    path = sorted(swapped.glob("m*.parquet"))[0]
+def test_swapped_images_are_noticed_and_a_missing_file_is_named(dataset, tmp_path):
+    copy = synthetic_videos.altered_copy(dataset, tmp_path / "copy", lambda rows: None)
+    path = sorted(copy.glob("m*.parquet"))[0]
     table = pq.read_table(path)
     rows = table.to_pylist()
     rows[0]["image"], rows[7]["image"] = rows[7]["image"], rows[0]["image"]
     pq.write_table(pa.Table.from_pylist(rows, schema=table.schema), path)
     with pytest.raises(BadInput, match="its pixels do not match the manifest"):
-        read_videos(swapped)
-
-
-def test_a_missing_file_of_the_dataset_is_named(dataset, tmp_path):
-    partial = synthetic_videos.altered_copy(dataset, tmp_path / "partial", lambda rows: None)
-    path = sorted(partial.glob("m*.parquet"))[0]
+        read_videos(copy)
     path.unlink()
     with pytest.raises(BadInput, match=f"{path.name}: no such file"):
-        read_videos(partial)
+        read_videos(copy)
 
 
 def test_a_material_model_of_another_split_is_refused(dataset, material, tmp_path):
     with pytest.raises(BadInput, match="has split 'by_simulation', 'by_video' is needed"):
         train(dataset, tmp_path, "friction_conditional", "by_video", material_model=material)
-    with pytest.raises(BadInput, match="requires --material-model"):
-        train(dataset, tmp_path, "friction_conditional")
     with pytest.raises(BadInput, match="does not take --material-model"):
         train(dataset, tmp_path, "friction_baseline", material_model=material)
 
@@ -382,11 +391,11 @@ def test_the_model_says_what_it_is_and_where_it_comes_from(material):
 
 
 def test_the_command_trains_and_answers_bad_input_in_one_line(dataset, tmp_path, capsys):
-    write_config(CONFIG, tmp_path / "config.json")
+    train = CONFIG.train.model_copy(update=FEW)
+    write_config(CONFIG.model_copy(update={"train": train}), tmp_path / "config.json")
     words = ["train", "--config", str(tmp_path / "config.json"), "--dataset", str(dataset)]
     words += ["--split", "by_video", "--seed", "0", "--out-dir", str(tmp_path / "out")]
     assert main([*words, "--network", "friction_baseline"]) == 0
-    assert "42 epochs on 26 videos" in capsys.readouterr().out
-    assert main([*words, "--network", "friction_conditional"]) == 2
-    message = capsys.readouterr().err
-    assert message.count("\n") == 1 and "requires --material-model" in message
+    assert "4 epochs on 26 videos" in capsys.readouterr().out
+    needed = "requires --material-model"
+    assert needed in refused(capsys, [*words, "--network", "friction_conditional"])

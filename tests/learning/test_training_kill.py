@@ -22,24 +22,12 @@ pytestmark = pytest.mark.slow
 
 LIMIT_S = 300.0
 
-
-SYNTHETIC = synthetic_videos
-CONFIG = SYNTHETIC.config(
+ALWAYS = {"plateau_margin": None, "checkpoint_interval_s": 0.0}
+SMALL = {"channels": [8, 8], "features": 8, "epochs": 12, "batch_size": 2}
+CONFIG = synthetic_videos.config(
     render={"viewpoints": ["calibrated"], "pixels": 32},
-    train={
-        "epochs_per_cycle": 12,
-        "fine_tuning_epochs": 0,
-        "plateau_margin": None,
-        "checkpoint_interval_s": 0.0,
-    },
-    instrument={
-        "channels": [8, 8],
-        "features": 8,
-        "epochs": 12,
-        "batch_size": 2,
-        "plateau_margin": None,
-        "checkpoint_interval_s": 0.0,
-    },
+    train={"epochs_per_cycle": 12, "fine_tuning_epochs": 0} | ALWAYS,
+    instrument=SMALL | ALWAYS,
 )
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 import pyarrow.parquet as pq
 import pytest
 from support import synthetic_results
+from support.refusal import refused
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import (
@@ -140,10 +141,8 @@ def test_an_unfinished_run_is_refused_and_marked_if_wanted(results, tmp_path, ca
     write_config(CONFIG, tmp_path / "config.json")
     words = ["publish", "--config", str(tmp_path / "config.json"), "--results", str(results)]
     words += ["--out-dir", str(tmp_path / "out")]
-    assert main(words) == 2
-    said = capsys.readouterr().err
-    assert "not finished: evaluate/details.json is missing (1 of " in said
-    assert "--partial" in said and said.count("\n") == 1
+    said = refused(capsys, words)
+    assert "not finished: evaluate/details.json is missing (1 of " in said and "--partial" in said
     assert not (tmp_path / "out").exists()
     assert main([*words, "--partial"]) == 0
     assert "partial: 1 lacking" in capsys.readouterr().out
@@ -169,46 +168,32 @@ WEIGHTS = "train/by_video/friction_conditional/seed0/model.safetensors"
 CARD = WEIGHTS.replace(".safetensors", ".json")
 
 
-def _with_another_byte(path):
-    content = bytearray(path.read_bytes())
-    content[-2] ^= 1
-    path.write_bytes(content)
-
-
-def _without_record(path, content):
-    path.with_name(f"{path.name}.provenance.json").unlink(missing_ok=True)
-    path.write_bytes(content)
-
-
-def _empty(path):
-    _without_record(path, b"{}")
-
-
-def _text(path):
-    _without_record(path, b"no weights\n")
-
-
 @pytest.mark.parametrize(
-    ("name", "damage", "why"),
+    ("name", "content", "why"),
     [
-        (WEIGHTS, _with_another_byte, "does not match its record"),
-        (WEIGHTS, _text, "not the weights that its card model.json describes"),
-        (CARD, _with_another_byte, "does not match its record"),
-        (CARD, _text, "damaged or not a JSON file"),
-        (CARD, _empty, "must be a mapping, and not empty"),
-        (WEIGHTS.replace("model.safetensors", "history.csv"), _with_another_byte, "its record"),
-        ("evaluate/metrics.json", _empty, "must be a mapping, and not empty"),
-        ("evaluate/details.json", _empty, "must be a mapping, and not empty"),
-        ("evaluate/predictions.parquet", _with_another_byte, "not a Parquet file"),
-        ("sample/manifest.parquet", _with_another_byte, "not a Parquet file"),
-        ("calibrate/calibration.json", _with_another_byte, "does not match its record"),
+        (WEIGHTS, None, "does not match its record"),
+        (WEIGHTS, b"no weights", "not the weights that its card model.json describes"),
+        (CARD, b"no card", "damaged or not a JSON file"),
+        (CARD, b"{}", "must be a mapping, and not empty"),
+        (WEIGHTS.replace("model.safetensors", "history.csv"), None, "does not match its record"),
+        ("evaluate/metrics.json", b"{}", "must be a mapping, and not empty"),
+        ("evaluate/predictions.parquet", None, "not a Parquet file"),
+        ("sample/manifest.parquet", None, "not a Parquet file"),
+        ("calibrate/calibration.json", None, "does not match its record"),
     ],
 )
-def test_a_damaged_file_is_not_published(results, tmp_path, name, damage, why):
-    damage(results / name)
-    with pytest.raises(BadInput, match=why) as refused:
+def test_a_damaged_file_is_not_published(results, tmp_path, name, content, why):
+    """One with a bit flipped (None), or with other content and no record."""
+    path = results / name
+    if content is None:
+        whole = path.read_bytes()
+        path.write_bytes(whole[:-2] + bytes([whole[-2] ^ 1]) + whole[-1:])
+    else:
+        path.with_name(f"{path.name}.provenance.json").unlink(missing_ok=True)
+        path.write_bytes(content)
+    with pytest.raises(BadInput, match=why) as problem:
         publish(CONFIG, results, tmp_path / "out")
-    assert name in str(refused.value) and not (tmp_path / "out").exists()
+    assert name in str(problem.value) and not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(
@@ -274,6 +259,9 @@ def test_only_a_folder_that_was_published_before_is_replaced(run, tmp_path):
     mine = tmp_path / "mine"
     mine.mkdir()
     (mine / "letter.txt").write_text("mine")
+    for partial in (False, True):
+        with pytest.raises(BadInput, match="nothing of a run in it"):
+            publish(CONFIG, mine, tmp_path / "new", partial)
     books = tmp_path / "books"
     books.mkdir()
     (books / INDEX).write_text('["Persuasion"]')
@@ -310,12 +298,6 @@ def test_the_workflow_publishes_again_when_an_optional_file_changes():
     rule = (Path(__file__).parents[2] / "rules" / "publish.smk").read_text()
     tracked = rule.partition("optional=digests_if_there(")[2].partition(")")[0]
     assert set(re.findall(r'"results/([a-z]+/[a-z.]+)"', tracked)) == set(OPTIONAL)
-
-
-def test_a_folder_without_a_run_is_refused(tmp_path):
-    for partial in (False, True):
-        with pytest.raises(BadInput, match="nothing of a run in it"):
-            publish(CONFIG, tmp_path, tmp_path / "out", partial)
 
 
 def test_an_update_keeps_what_the_results_have_no_longer(run, tmp_path):

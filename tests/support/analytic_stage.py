@@ -11,8 +11,11 @@ import av
 import cv2
 import numpy as np
 
+from slipstitch.config import Config, resolve_config
+from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.design.stage_path import SIDE_M, StagePath
-from slipstitch.images.camera import Camera
+from slipstitch.film.frame_schedule import Schedule
+from slipstitch.images.camera import Camera, pose
 from slipstitch.images.camera_file import camera_record, write_camera_file
 
 PATH = StagePath()
@@ -38,6 +41,22 @@ def lens_camera(
         ]
     )
     return Camera(rotation, translation_m, matrix, *size, distortion)
+
+
+#: At the calibrated viewpoint.
+LENS = lens_camera(*pose(VIEWPOINTS["calibrated"]))
+
+
+def protocol(frames: int = 24, sampled: int = 6, pixels: int = 64) -> tuple[Config, Schedule]:
+    """A configuration that simulates and samples so many frames, and which of a film are needed."""
+    config = resolve_config(
+        {
+            "simulation": {"frames": frames},
+            "sample": {"frames": sampled},
+            "render": {"pixels": pixels},
+        }
+    )
+    return config, Schedule.of(config.simulation, config.render, config.sample)
 
 
 def camera_file(camera: Camera, path: Path) -> Path:
@@ -107,17 +126,7 @@ def _cloth_light(y: np.ndarray, down: np.ndarray) -> np.ndarray:
 
 
 def write_video(path: Path, images, times_s, codec: str = "libx264", **options: str) -> Path:
-    """A video of 8-bit images, each with its own time.
-
-    Parameters
-    ----------
-    path : path
-        Its suffix chooses the container.
-    images : iterable of ndarray (rows, columns, 3)
-        Red first.
-    codec, options
-        Of FFmpeg.
-    """
+    """A video of 8-bit images, red first, each with its own time; options are FFmpeg's."""
     clock = Fraction(1, 90000)
     with av.open(str(path), "w") as container:
         stream = None
@@ -131,4 +140,14 @@ def write_video(path: Path, images, times_s, codec: str = "libx264", **options: 
             frame.pts, frame.time_base = round(time_s / clock), clock
             container.mux(stream.encode(frame))
         container.mux(stream.encode())
+    return path
+
+
+def write_avi(path: Path, images, codec: str = "MJPG") -> Path:
+    """A film of 5 frames a second, written by OpenCV; blue first."""
+    first, *others = images
+    film = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*codec), 5.0, first.shape[1::-1])
+    for image in (first, *others):
+        film.write(image)
+    film.release()
     return path

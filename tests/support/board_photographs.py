@@ -15,21 +15,31 @@ POSITION_M = np.array([0.55, -0.32, 0.6])
 PLACE_MM, ANGLE_DEG, THICKNESS_MM = (30.0, 90.0), -12.0, 3.0
 
 _MARGIN_PX = 60  # what the lens pulls in from beyond the pinhole's image
-_TEXELS = 40  # a square
+TEXELS = 60  # a square
 
 
-def board_image(charuco: bool = False) -> np.ndarray:
-    """The board with a white margin of one square, grey in 0 ... 1, row 0 on top."""
-    columns, rows = SQUARES
-    if charuco:
-        markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARY))
-        board = cv2.aruco.CharucoBoard(SQUARES, SQUARE_M, MARKER_M, markers)
-        image = board.generateImage((columns * _TEXELS, rows * _TEXELS)) / 255.0
-    else:
-        y, x = np.mgrid[:rows, :columns]
+def board_image(
+    squares=SQUARES, marker=0.75, dictionary="DICT_5X5_100", is_legacy=False
+) -> np.ndarray:
+    """A ChArUco board, or without a dictionary a checkerboard, with a white margin of a square.
+
+    8-bit, row 0 on top. `marker` is the side of a marker, in squares.
+    """
+    if dictionary is None:
+        y, x = np.mgrid[: squares[1], : squares[0]]
         # The dark corners are those on the left.
-        image = np.kron((x + y) % 2, np.ones((_TEXELS, _TEXELS))).astype(float)
-    return np.pad(image, _TEXELS, constant_values=1.0)
+        image = 255 * np.kron((x + y) % 2, np.ones((TEXELS, TEXELS))).astype(np.uint8)
+    else:
+        markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+        board = cv2.aruco.CharucoBoard(squares, 1.0, marker, markers)
+        board.setLegacyPattern(is_legacy)
+        image = board.generateImage((squares[0] * TEXELS, squares[1] * TEXELS))
+    return np.pad(image, TEXELS, constant_values=255)
+
+
+def own_image(charuco: bool = False) -> np.ndarray:
+    """The board that is photographed, grey in 0 ... 1."""
+    return board_image(SQUARES, MARKER_M / SQUARE_M, DICTIONARY if charuco else None) / 255.0
 
 
 def camera_pose() -> tuple[np.ndarray, np.ndarray]:
@@ -79,7 +89,7 @@ class Photographer:
     def __init__(self, charuco: bool = False):
         uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]])
         self.scene = ClothScene(np.array([[0, 1, 2], [0, 2, 3]]), uv)
-        self.scene.wear(np.repeat(0.02 + 0.7 * board_image(charuco)[..., None], 3, axis=2))
+        self.scene.wear(np.repeat(0.02 + 0.7 * own_image(charuco)[..., None], 3, axis=2))
         extent = np.array([SQUARES[0] + 2, SQUARES[1] + 2]) * SQUARE_M
         self.corners = np.column_stack([uv * extent - SQUARE_M, np.zeros(4)])
         wide = MATRIX.copy()

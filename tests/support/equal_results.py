@@ -19,7 +19,7 @@ LEFT_OUT = ("logs", "benchmarks", "status", "config.json")
 # Keys of JSON objects that say how long something took or what made it.
 OF_THIS_RUN = {"cpu_s", "wall_s", "provenance", "seconds", "made", "train_s", "trajectory_sha256"}
 # They show times: that they are whole is all that can be asked.
-SHOWS_TIMES = {"calibrate/settings.png", "report/index.html"}
+SHOWS_TIMES = {"calibrate/settings.png"}
 
 
 def _json(value):
@@ -65,11 +65,8 @@ def _content(path: Path, name: str) -> bytes:
         assert text.rstrip().endswith("</html>"), path
         return b"whole"
     if path.suffix == ".png":
-        return (
-            b"whole"
-            if name in SHOWS_TIMES and _pixels(path.read_bytes())
-            else _pixels(path.read_bytes())
-        )
+        pixels = _pixels(path.read_bytes())
+        return b"whole" if name in SHOWS_TIMES else pixels
     if path.suffix == ".mp4":
         return _film(path)
     if path.suffix == ".parquet":
@@ -96,11 +93,10 @@ def digests(results: Path) -> dict[str, str]:
             continue  # under its final name nothing of it is there
         if name.startswith("release/") and not name.startswith(("release/data/", "release/splits")):
             found[name] = "of the release"
-            continue
-        if name.startswith("audit/"):
+        elif name.startswith("audit/"):
             found[name] = _audited(path)
-            continue
-        found[name] = hashlib.sha256(_content(path, name)).hexdigest()
+        else:
+            found[name] = hashlib.sha256(_content(path, name)).hexdigest()
     return found
 
 
@@ -111,8 +107,5 @@ def _audited(path: Path) -> str:
 
 def leftovers(results: Path) -> list[str]:
     """Temporary files and folders that a writer left behind."""
-    return sorted(
-        path.relative_to(results).as_posix()
-        for path in results.rglob("*")
-        if path.name.endswith(".tmp") and not path.relative_to(results).parts[0].startswith("logs")
-    )
+    names = (path.relative_to(results).as_posix() for path in results.rglob("*.tmp"))
+    return sorted(name for name in names if not name.startswith("logs"))

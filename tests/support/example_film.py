@@ -20,13 +20,7 @@ def images_and_times() -> tuple[list[np.ndarray], list[float]]:
 
 
 def rolled(folder: Path, roll_deg: float, side_px: int = 300) -> tuple[Path, Path]:
-    """The example as a camera without distortion, rolled by so much, would have filmed it.
-
-    Returns
-    -------
-    path, path
-        The film and the camera file.
-    """
+    """The example as a rolled camera without distortion would have filmed it; the camera file."""
     seen = read_camera_file(EXAMPLE_CAMERA)
     turn, _ = cv2.Rodrigues(np.radians([0.0, 0.0, roll_deg]))
     middle = (side_px - 1) / 2

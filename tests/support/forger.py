@@ -15,13 +15,7 @@ from slipstitch.dataset.release.records import RELEASE_RECORD
 
 
 class Forger:
-    """Edits a copy of a release, made in a folder with files that may be written.
-
-    Parameters
-    ----------
-    release : path
-        Where the copy goes.
-    """
+    """Edits a copy of a release, made at `release` with files that may be written."""
 
     def __init__(self, original: Path, release: Path):
         self.release = Path(shutil.copytree(original, release))

@@ -39,11 +39,10 @@ from slipstitch.dataset.videos import read_videos
 from slipstitch.design.sampled_frames import sampled_frames
 from slipstitch.film import board
 from slipstitch.film.captures_table import read_captures, read_references
-from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.slip_angles import estimate, read_angles
 from slipstitch.film.stage_video import read_stage_video
 from slipstitch.images.camera import pose
-from slipstitch.images.camera_file import DISTORTION, FORMAT, read_camera_file
+from slipstitch.images.camera_file import read_camera_file
 from slipstitch.images.preview import decode_image, read_images
 from slipstitch.images.textures import _read as read_texture
 from slipstitch.learning.checkpoint import Progress, load_checkpoint, save_checkpoint
@@ -58,7 +57,7 @@ from slipstitch.report.cost import benchmarks
 from slipstitch.report.results import Results
 from slipstitch.report.status import status
 from support import analytic_stage, synthetic_chain, synthetic_results
-from support.untrained import untrained_instrument
+from support.models import untrained_instrument
 
 Found = Iterator[tuple[str, Path, Callable[[], object]]]
 TIME_LIMIT_S = 10.0
@@ -157,6 +156,8 @@ def readers(folder: Path) -> list[Reader]:
         *_pictures(others), *_measuring(others), *_cases(others), *_report(config, results),
         *_status(results), *_release(config, folder),
     ]  # fmt: skip
+    for _, _, read in found:
+        read()  # what is spoilt is good before
     return [Reader(*one) for one in found]
 
 
@@ -173,7 +174,6 @@ def _configurations(folder: Path) -> Found:
     bench = {"tilt_along_rad": 0.02, "mass_error": 0.1, "camera_scale": 1.02}
     content = {"causes": ["adhesion", "tilt"], "friction_law": {"face": law}, "bench": bench}
     model.write_text(yaml.safe_dump(content))
-    read_extended_model(model)
     yield "extended model", model, lambda: read_extended_model(model)
 
 
@@ -235,20 +235,9 @@ def _pictures(folder: Path) -> Found:
         yield f"picture ({suffix})", path, lambda path=path: board.read_image(path)
         yield f"texture ({suffix})", path, lambda path=path: read_texture(path)
     for suffix, code in (("mp4", "mp4v"), ("avi", "MJPG")):
-        path = folder / f"film.{suffix}"
-        film = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*code), 5.0, (64, 64))
-        for _ in range(5):
-            film.write(image)
-        film.release()
+        path = analytic_stage.write_avi(folder / f"film.{suffix}", [image] * 5, code)
         yield f"film ({suffix})", path, lambda path=path: list(board._frames(path))
-    camera = folder / "camera.json"
-    whole = {
-        "format": FORMAT, "image_size_px": [640, 480], "focal_px": [600.0, 600.0],
-        "principal_point_px": [320.0, 240.0], "rotation": np.diag([1.0, -1.0, -1.0]).tolist(),
-        "translation_m": [0.0, 0.0, 1.0], "distortion": dict.fromkeys(DISTORTION, 0.0),
-    }  # fmt: skip
-    camera.write_text(json.dumps(whole))
-    read_camera_file(camera)
+    camera = analytic_stage.camera_file(analytic_stage.LENS, folder / "camera.json")
     yield "camera file", camera, lambda: read_camera_file(camera)
 
 
@@ -258,14 +247,10 @@ def _measuring(folder: Path) -> Found:
     bench = analytic_stage.Bench(lens)
     times = np.arange(0, 10, 0.5)
     images = [bench.image(max(0.0, time_s - 0.5)) for time_s in times]
-    settings = resolve_config(
-        {"simulation": {"frames": 20}, "sample": {"frames": 4}, "render": {"pixels": 32}}
-    )
-    schedule = Schedule.of(settings.simulation, settings.render, settings.sample)
+    _, schedule = analytic_stage.protocol(20, 4, 32)
     for suffix in ("mp4", "mkv"):
         film = folder / f"stage.{suffix}"
         analytic_stage.write_video(film, images, times)
-        read_stage_video(film, lens, schedule, start_s=0.5)
         for name, start_s in (("from a stated start", 0.5), ("start found", None)):
             read = partial(read_stage_video, film, lens, schedule, start_s=start_s)
             yield f"film of a stage ({suffix}, {name})", film, read
@@ -278,7 +263,6 @@ def _measuring(folder: Path) -> Found:
         "stage.mkv,denim,glass,2,0.31,0.02,no,bench.json\n"
     )
     reference.write_text("material,substrate,mu,error\ndenim,glass,0.31,0.02\n")
-    read_captures(captures, reference)
     yield "captures", captures, lambda: read_captures(captures)
     yield "captures with references", captures, lambda: read_captures(captures, reference)
     yield "references", reference, lambda: read_references(reference)
@@ -286,7 +270,6 @@ def _measuring(folder: Path) -> Found:
     rows = [f"denim,glass,p{n},warp,{n},{17 + n / 3:.2f},0.2" for n in range(4)]
     title = "material,substrate,position,orientation,repeat,angle_deg,bench_error_deg"
     angles.write_text("\n".join([title, *rows]) + "\n")
-    estimated(angles)
     yield "slip angles", angles, lambda: estimated(angles)
 
 
@@ -316,7 +299,6 @@ def _cases(folder: Path) -> Found:
         "scatter": {"incline": [0.01, 0.01, 1.0]},
     }  # fmt: skip
     verdict.write_text(json.dumps({"models": {"null": {**model, "causes": []}, "extended": model}}))
-    read_verdict(verdict)
     yield "verdict", verdict, lambda: read_verdict(verdict)
 
 

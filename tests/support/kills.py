@@ -143,20 +143,8 @@ def kill_and_resume(
 ) -> Kill:
     """One job is made again, killed at a random moment, and made with the same command once more.
 
-    Parameters
-    ----------
-    workflow : Workflow
-        Its folder is overwritten.
-    pristine : path
-        The folder of an undisturbed run.
-    reference : dict
-        Digests of its results.
-    job : dict
-        Of the plan.
-    victim : str
-        One of `VICTIMS`.
-    by_command : bool
-        Whether to clear a lock with ``snakemake --unlock`` or, sparing its start, as that does.
+    The workflow's folder is overwritten from `pristine`, an undisturbed run, whose results have the
+    digests `reference`. A lock is cleared by `by_command` or, sparing its start, as that does.
     """
     run = workflow.folder
     copy_run(pristine, run)

@@ -8,6 +8,7 @@ something to learn, and a network that learns nothing cannot pass.
 import shutil
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -125,6 +126,16 @@ def write_dataset(config: Config, folder: Path, marked: bool = False) -> Path:
         config, write_shards(config, folder / "render", marked), folder / "sample"
     )
     return folder / "sample"
+
+
+def images_of(shard: Path) -> dict[tuple[str, int], np.ndarray]:
+    """Images of a shard by texture and frame, blue first."""
+    return {
+        (row["texture"], row["frame"]): cv2.imdecode(
+            np.frombuffer(row["image"]["bytes"], np.uint8), cv2.IMREAD_COLOR
+        )
+        for row in pq.read_table(shard).to_pylist()
+    }
 
 
 def altered_copy(sample: Path, folder: Path, change, renew_digest: bool = True) -> Path:
