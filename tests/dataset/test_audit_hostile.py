@@ -82,38 +82,34 @@ def with_a_hole(path):
         stream.truncate(2**40)
 
 
-DEEP = "[" * 100_000 + "]" * 100_000
+LONG = "m" * 2**20
+DEEP, NESTED = "[" * 100_000 + "]" * 100_000, "nested more than"
+
+
+def linked(target):
+    """Puts a link in the place of a shard."""
+    return lambda release: instead(shard_of(release)).symlink_to(target)
+
+
 #: What is done to a release -> what is said of it.
 REFUSED = {
-    "a link to a device": (
-        lambda one: instead(shard_of(one)).symlink_to("/dev/zero"),
-        "is a link; a release contains only regular files",
-    ),
-    "a link to a folder": (lambda one: instead(shard_of(one)).symlink_to("/usr"), "is a link"),
+    "a link to a device": (linked("/dev/zero"), "is a link; a release contains only regular files"),
+    "a link to a folder": (linked("/usr"), "is a link"),
     "a link in place of the records": (put_in_place_of_the_records, "records is a link"),
     "a link to itself": (lambda one: (one / "data/loop").symlink_to("."), "is a link"),
     "a pipe": (lambda one: os.mkfifo(instead(shard_of(one))), "is a pipe"),
-    "a pipe among the sources": (
-        lambda one: os.mkfifo(one / "code/src/slipstitch/more.py"),
-        "is a pipe",
-    ),
+    "a pipe among the sources": (lambda one: os.mkfifo(one / "code/src/a.py"), "is a pipe"),
     "a pipe for sums": (lambda one: os.mkfifo(instead(one / SUMS)), "is a pipe"),
     "a socket": (a_socket, "is a socket"),
     "a hole": (lambda one: with_a_hole(one / "README.md"), "mostly a hole"),
     "a hole in a shard": (lambda one: with_a_hole(shard_of(one)), "mostly a hole"),
     "an unprintable name": (lambda one: (one / "data/\x1b[2Jintact").touch(), "not printable"),
-    "deep folders": (
-        lambda one: (one / "/".join("d" * 60)).mkdir(parents=True),
-        "nested more than",
-    ),
+    "deep folders": (lambda one: (one / "/".join("d" * 60)).mkdir(parents=True), "nested more"),
     "a deep record": (
-        lambda one: next((one / "records/simulate").iterdir()).write_text(DEEP),
-        "nested more than",
+        lambda one: min((one / "records/simulate").iterdir()).write_text(DEEP),
+        NESTED,
     ),
-    "a deep configuration": (
-        lambda one: (one / "records/config.json").write_text(DEEP),
-        "nested more than",
-    ),
+    "a deep configuration": (lambda one: (one / "records/config.json").write_text(DEEP), NESTED),
 }
 
 
@@ -127,10 +123,14 @@ def edited_manifest(change):
     return edit
 
 
-def with_materials(table, name):
-    """The manifest with other fabrics, by the number of the row."""
-    rows = [row | {"material": name(k)} for k, row in enumerate(table.to_pylist())]
-    return pa.Table.from_pylist(rows, schema=table.schema)
+def with_materials(name):
+    """A function that gives the rows of a manifest other fabrics, by their numbers."""
+
+    def change(table):
+        rows = [row | {"material": name(k)} for k, row in enumerate(table.to_pylist())]
+        return pa.Table.from_pylist(rows, schema=table.schema)
+
+    return edited_manifest(change)
 
 
 def _rows(image: bytes, count: int, **labels) -> pa.Table:
@@ -149,7 +149,7 @@ def repeated_images(release):
 
 def text_in_a_shard(release, rows, dictionary=True, **options):
     """The same text of 1 MiB in every row; images uncompressed, as a shard has them."""
-    table = _rows(b"", rows, material="m" * 2**20)
+    table = _rows(b"", rows, material=LONG)
     labels = [name for name in table.column_names if name != "image"]
     how = {**dict.fromkeys(labels, "ZSTD"), "image": "NONE"}
     coded = labels if dictionary else False
@@ -197,15 +197,9 @@ PACKED = {
         edited_manifest(lambda table: table.take(pa.array(np.zeros(200_000, np.int64)))),
         "rows compressed to",
     ),
-    "a long text in the manifest": (
-        edited_manifest(lambda table: with_materials(table, lambda k: "m" * 2**20)),
-        "a text of 1048576 bytes",
-    ),
+    "a long text in the manifest": (with_materials(lambda k: LONG), "a text of 1048576 bytes"),
     # Another one in every row: together 1 MiB a row, packed to a few kB.
-    "many long texts in the manifest": (
-        edited_manifest(lambda table: with_materials(table, lambda k: f"{k}" + "m" * 2**20)),
-        "bytes compressed to",
-    ),
+    "many long texts in the manifest": (with_materials(lambda k: f"{k}{LONG}"), "compressed to"),
 }
 
 
