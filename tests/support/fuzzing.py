@@ -28,6 +28,7 @@ from slipstitch.base.provenance import read_provenance, start_clock
 from slipstitch.config import load_config
 from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.config.load import calibrated_settings, read_mapping, resolve_config
+from slipstitch.config.simulation import BASE, KEYS
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.prediction import read_verdict
 from slipstitch.dataset.audit.auditing import audit_release
@@ -51,6 +52,7 @@ from slipstitch.learning.instrument.measuring import load_instrument, save_instr
 from slipstitch.learning.lrcn import LRCN
 from slipstitch.learning.lrcn_model import load_model, save_model
 from slipstitch.physics.calibration.calibration import read_sweeps
+from slipstitch.physics.calibration.sweep import sweep_inputs, variations
 from slipstitch.physics.friction_law.extended_model import read_extended_model
 from slipstitch.physics.simulation.trajectory import read_trajectory
 from slipstitch.report.cost import benchmarks
@@ -191,7 +193,13 @@ def _tables(config, results: Path) -> Found:
     calibration = results / "calibrate/calibration.json"
     yield "calibration", calibration, lambda: calibrated_settings(calibration)
     sweep = results / "sweep.json"
-    sweep.write_text(json.dumps([{"settings": {"time_step_s": 0.1}, "runs": []}]))
+    of_sweep = config.calibrate, config.simulation
+    trials = [
+        {"key": key, "settings": tried, "inputs": sweep_inputs(key, *of_sweep), "runs": []}
+        for key in (BASE, *KEYS)
+        for tried in variations(key, *of_sweep)
+    ]
+    sweep.write_text(json.dumps(trials))
     yield "sweep", sweep, lambda: read_sweeps([sweep], config)
     yield "artefact of a release", shard, lambda: read_artefact("results/render/x.parquet", shard)
 
@@ -245,13 +253,13 @@ def _measuring(folder: Path) -> Found:
     """What `measure` and `capture` read: films, instruments, tables."""
     lens = analytic_stage.lens_camera(*pose(VIEWPOINTS["calibrated"]), size=(160, 120))
     bench = analytic_stage.Bench(lens)
-    times = np.arange(0, 10, 0.5)
-    images = [bench.image(max(0.0, time_s - 0.5)) for time_s in times]
+    times = np.concatenate([np.arange(0, 6, 0.1), np.arange(6, 10, 0.5)])
+    images = [bench.image(max(0.0, time_s - 2.6)) for time_s in times]
     _, schedule = analytic_stage.protocol(20, 4, 32)
     for suffix in ("mp4", "mkv"):
         film = folder / f"stage.{suffix}"
         analytic_stage.write_video(film, images, times)
-        for name, start_s in (("from a stated start", 0.5), ("start found", None)):
+        for name, start_s in (("from a stated start", 2.6), ("start found", None)):
             read = partial(read_stage_video, film, lens, schedule, start_s=start_s)
             yield f"film of a stage ({suffix}, {name})", film, read
     yield from _instruments(folder / "instrument")

@@ -277,7 +277,10 @@ def read_sweeps(paths: list[str | os.PathLike], config) -> list[dict[str, Any]]:
     for path in paths:
         sweep = read_json(path)
         if not isinstance(sweep, list) or not all(
-            isinstance(trial, dict) and trial.get("key") in (BASE, *KEYS) and "settings" in trial
+            isinstance(trial, dict)
+            and trial.get("key") in (BASE, *KEYS)
+            and "settings" in trial
+            and isinstance(trial.get("inputs", {}), dict)
             for trial in sweep
         ):
             raise Damaged(path, "not a sweep of the calibration")
