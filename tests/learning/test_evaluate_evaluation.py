@@ -53,8 +53,11 @@ def chain(tmp_path_factory):
     folder = tmp_path_factory.mktemp("chain")
     synthetic_videos.write_dataset(CONFIG, folder)
     for split in TRAINED_ON:
-        # Of one split the networks before fine-tuning too.
-        train = CONFIG.train.model_copy(update={"keep_all_views": split == KEPT})
+        # Of one split the networks before fine-tuning too; of another they are to learn something.
+        changes = {"keep_all_views": split == KEPT}
+        if split != "by_simulation":
+            changes["epochs_per_cycle"] = 1
+        train = CONFIG.train.model_copy(update=changes)
         train_networks(CONFIG.model_copy(update={"train": train}), folder, split)
         if split == REFLECTIVE:
             continue
