@@ -2,6 +2,7 @@
 
 import math
 import re
+from itertools import product
 
 import numpy as np
 import pytest
@@ -18,39 +19,33 @@ def answers(
     """A question with two variants; the second one's errors are smaller by `gain`."""
     generator = np.random.default_rng(7)
     hard = generator.uniform(0.05, 0.15, simulations)  # errors go by simulation
+    variants = (("replicates", "the first way", 0.0), ("textures", "the second way", gain))
     found = []
-    for seed in range(seeds):
-        for name, less in (("replicates", 0.0), ("textures", gain)):
-            failed = name == "textures" and seed < failures
-            predictions = []
-            for number in range(0 if failed else simulations):
-                error = max(0.0, hard[number] - less + generator.normal(0, noise))
-                true = 0.1 + 0.1 * (number % 5)
-                predictions += [
-                    {
-                        "tested_on": tested_on,
-                        "video": f"s{number}_t{texture}",
-                        "simulation": f"s{number}",
-                        "true": true,
-                        "predicted": true + error,
-                    }
-                    for texture in range(TEXTURES)
-                ]
-            found.append(
-                {
-                    **{"question": "diversity", "network": "lrcn", "variant": name, "seed": seed},
-                    "phrase": "the first way" if name == "replicates" else "the second way",
-                    "left_out": None,
-                    "dataset_digest": "d",
-                    "training_videos": 12,
-                    "training_simulations": 6,
-                    "passes": 30.0,
-                    "failure": "the loss became nan" if failed else None,
-                    "stayed_at_chance": not failed and seed < at_chance,
-                    "material_stayed_at_chance": False,
-                    "predictions": predictions,
-                }
-            )
+    for seed, (name, phrase, less) in product(range(seeds), variants):
+        failed = name == "textures" and seed < failures
+        predictions = []
+        for number in range(0 if failed else simulations):
+            error = max(0.0, hard[number] - less + generator.normal(0, noise))
+            true = 0.1 + 0.1 * (number % 5)
+            row = {"tested_on": tested_on, "simulation": f"s{number}"}
+            row |= {"true": true, "predicted": true + error}
+            videos = [f"s{number}_t{texture}" for texture in range(TEXTURES)]
+            predictions += [row | {"video": video} for video in videos]
+        found.append(
+            {
+                **{"question": "diversity", "network": "lrcn", "variant": name, "seed": seed},
+                "phrase": phrase,
+                "left_out": None,
+                "dataset_digest": "d",
+                "training_videos": 12,
+                "training_simulations": 6,
+                "passes": 30.0,
+                "failure": "the loss became nan" if failed else None,
+                "stayed_at_chance": not failed and seed < at_chance,
+                "material_stayed_at_chance": False,
+                "predictions": predictions,
+            }
+        )
     return found
 
 

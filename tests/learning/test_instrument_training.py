@@ -130,10 +130,6 @@ def test_the_learning_curve_falls_and_is_kept(folder):
     assert card["calibration_simulations"] == 12
 
 
-class KilledError(Exception):
-    pass
-
-
 FEW = {"epochs": 2, "plateau_margin": None, "checkpoint_interval_s": 0.0}
 
 
@@ -151,9 +147,9 @@ def test_a_killed_training_goes_on_to_the_same_bits(dataset, undisturbed, tmp_pa
 
     def kill(progress):
         if not next(left):
-            raise KilledError
+            raise KeyboardInterrupt
 
-    with pytest.raises(KilledError):
+    with pytest.raises(KeyboardInterrupt):
         train(dataset, tmp_path, after_step=kill, **FEW)
     train(dataset, tmp_path, **FEW)
     for name in ("instrument.safetensors", "history.csv"):

@@ -4,7 +4,6 @@ import json
 import logging
 import os
 import re
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from types import SimpleNamespace
 
@@ -33,23 +32,18 @@ from slipstitch.report.status import (
 NAMES = ("m00_f0100_r00", "m00_f0300_r00", "m00_f0600_r00", "m00_f1000_r00")
 
 
-def planned(rule, *names):
-    """What the journal needs of one of Snakemake's jobs."""
-    output = [f"results/simulate/{name}.parquet" for name in names]
-    benchmark = next((f"results/benchmarks/simulate/{name}.tsv" for name in names), None)
-    return Planned(SimpleNamespace(name=rule), output, benchmark)
-
-
-@dataclass(eq=False)
 class Planned:
-    rule: SimpleNamespace
-    output: list
-    benchmark: str | None
+    """What the journal needs of one of Snakemake's jobs."""
+
+    def __init__(self, rule, *names):
+        self.rule = SimpleNamespace(name=rule)
+        self.output = [f"results/simulate/{name}.parquet" for name in names]
+        self.benchmark = next((f"results/benchmarks/simulate/{name}.tsv" for name in names), None)
 
 
 def graph(finished_before=()):
     """Stands for Snakemake's graph: a simulation a name, and a rule that makes nothing."""
-    jobs = [*(planned("simulate_one", name) for name in NAMES), planned("all")]
+    jobs = [*(Planned("simulate_one", name) for name in NAMES), Planned("all")]
     needed = [job for job, name in zip(jobs, NAMES, strict=False) if name not in finished_before]
     return SimpleNamespace(jobs=jobs, needrun_jobs=lambda: needed, jobid=jobs.index)
 
@@ -213,21 +207,19 @@ def test_the_end_of_a_log_is_short_and_a_stage_the_folder_below_results(tmp_path
         assert job.stage == stage
 
 
-def test_the_verb_says_so_where_nothing_was_run_and_where_nothing_is(tmp_path, capsys):
-    assert main(["status", "--results", str(tmp_path)]) == 0
+def test_the_verb_fails_where_the_run_failed_and_says_where_nothing_was_run(bench, capsys):
+    words = ["status", "--results", str(bench.results)]
+    assert "no such folder" in refused(capsys, [*words[:-1], bench.results / "none"])
+    assert main(words) == 0
     assert "no snakemake run has started a job here" in capsys.readouterr().out
-    assert "no such folder" in refused(capsys, ["status", "--results", tmp_path / "none"])
-
-
-def test_the_verb_fails_where_the_run_failed(bench, capsys):
     bench.begin()
     bench.fail(0)
     bench.journal.end(success=False)
     write_config(Config(), bench.results / "config.json")
-    assert main(["status", "--results", str(bench.results)]) == 1
+    assert main(words) == 1
     assert "last line" in capsys.readouterr().out
     (bench.results / "status/plan.json").write_text(json.dumps({"jobs": [{}]}))
-    assert "plan.json: damaged" in refused(capsys, ["status", "--results", bench.results])
+    assert "plan.json: damaged" in refused(capsys, words)
 
 
 def test_the_last_job_of_a_stage_says_the_share_of_the_run_and_the_time_left():
