@@ -37,6 +37,9 @@ ROUNDS = 6
 LOG_NOISE_SD = 0.6
 # An effect whose columns stand out like this does not count as scatter; so many at most.
 STANDS_OUT, MOST_EFFECTS = 1e-3, 2
+# It must stand out without the runs that speak for it most: of 40 runs, 5 % are two. From seeds
+# 300009 and 300047 to 300049 of the benchmark, null data with patches around one far run.
+FAR_TOGETHER = 2
 FEWEST_RUNS = 5
 # Twice the gain in log-likelihood of a finding: chi squared of one degree at p = .001.
 CLEAR_RATIO = 10.8
@@ -186,18 +189,28 @@ class _Tails:
         return precision - taken @ np.linalg.pinv(core, hermitian=True) @ taken.T
 
     def _outstanding(self, precision: np.ndarray) -> np.ndarray | None:
-        """The alternative's columns that stand out most, if they do."""
-        best, chosen = -np.log(STANDS_OUT), None
+        """The alternative's columns that stand out most, if they do without any two runs."""
+        limit, found = -np.log(STANDS_OUT), []
         for test in self._tests:
             columns = test.columns[self.group.index]
-            gram, score = columns.T @ precision @ columns, columns.T @ precision @ self._residual
-            if gram[0, 0] <= 1e-9 or test.nuisance is not None:
+            if (columns * (precision @ columns)).sum(0)[0] <= 1e-9 or test.nuisance is not None:
                 continue
-            ratio = float(score @ np.linalg.pinv(gram, 1e-6, hermitian=True) @ score)
-            evidence = -chi_square.logsf(ratio, columns.shape[1])
-            if evidence > best:
-                best, chosen = evidence, columns
-        return chosen
+            evidence, effect = self._evidence(precision, columns)
+            if evidence > limit:
+                found.append((evidence, columns, effect))
+        for _, columns, effect in sorted(found, key=lambda one: -one[0]):
+            # A patch around one run is another word for a run that lies far off.
+            gains = np.bincount(self._run, effect * (precision @ self._residual))
+            others = ~np.isin(self._run, np.argsort(-gains)[:FAR_TOGETHER])
+            if self._evidence(precision, columns * others[:, None])[0] > limit:
+                return columns
+        return None
+
+    def _evidence(self, precision: np.ndarray, columns: np.ndarray) -> tuple[float, np.ndarray]:
+        """Minus the logarithm of the p of columns, and what they explain of the residual."""
+        gram, score = columns.T @ precision @ columns, columns.T @ precision @ self._residual
+        sizes = np.linalg.pinv(gram, 1e-6, hermitian=True) @ score
+        return -chi_square.logsf(float(score @ sizes), columns.shape[1]), columns @ sizes
 
     def _judge(self, precision, pulled, usual) -> None:
         """Odds that a run, or one feature of it, is of the wide component; each excludes others."""
