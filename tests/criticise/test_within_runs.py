@@ -133,7 +133,7 @@ def test_a_run_is_simulated_with_models_that_its_specimen_had_no_part_in(monkeyp
         trained.append(set(training.tables["drop_drag_runs"]["specimen_id"]))
         known = set(training.tables["drop_drag_runs"]["run_id"])
         assert set(training.tables["drop_drag"]["run_id"]) == known
-        return {"verdict": "none", "models": {"extended": {"causes": []}}}
+        return {"verdict": "none", "models": {"null": {}, "extended": {"causes": []}}}
 
     def simulated(part, *_):
         runs = part.tables["drop_drag_runs"]
@@ -159,10 +159,10 @@ def test_runs_without_a_specimen_s_name_are_specimens_of_their_own(monkeypatch):
     runs = case.tables["drop_drag_runs"]
     runs["specimen_id"] = ""
     line_m = np.array([0.0, 1.0])
-    model = {"friction_law": {"face": {"coefficient": 0.3, "mechanisms": {}}}}
+    model = {"causes": [], "friction_law": {"face": {"coefficient": 0.3, "mechanisms": {}}}}
     shape = TrackedShape(line_m, line_m, line_m, line_m)
     monkeypatch.setattr(resimulation, "extended_model", lambda *_: model)
     monkeypatch.setattr(resimulation, "drag_tracked", lambda *_, **__: shape)
-    verdict = {"verdict": "none", "models": {"extended": {"causes": []}}}
+    verdict = {"verdict": "none", "models": {"null": {}, "extended": {"causes": []}}}
     found = resimulation.resimulate(case, verdict).summary
     assert found["all"]["specimens"] == len(runs)
