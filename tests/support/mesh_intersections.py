@@ -9,6 +9,10 @@ volumes of tetrahedra.
 import numpy as np
 from scipy.spatial import cKDTree
 
+# Trajectories are rounded to a micrometre: on which side of a triangle a point lies is known no
+# better, and where the sheet lies flat, the sides of distant triangles are those of the rounding.
+SURELY_BESIDE_M = 2e-6
+
 
 def crossing_pairs(positions_m: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Edges that go through triangles.
@@ -36,7 +40,9 @@ def crossing_pairs(positions_m: np.ndarray, faces: np.ndarray) -> np.ndarray:
     def volume(o, u, v, w):
         return np.einsum("ij,ij->i", np.cross(u - o, v - o), w - o)
 
-    sides = volume(a, b, c, p) * volume(a, b, c, q) < 0
+    twice_area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    above, below = (volume(a, b, c, end) / twice_area for end in (p, q))
+    sides = (above * below < 0) & (np.minimum(abs(above), abs(below)) > SURELY_BESIDE_M)
     first, second, third = volume(p, q, a, b), volume(p, q, b, c), volume(p, q, c, a)
     through = (np.sign(first) == np.sign(second)) & (np.sign(second) == np.sign(third))
     hit = sides & through
