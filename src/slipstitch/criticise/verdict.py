@@ -341,8 +341,8 @@ def analyse(measurements: Measurements, seed: int = 1, replicates: int = 300) ->
         return found  # not even if the fit gains twice what its linear test promises
     other = judged(evidence)
     chosen = other.chosen
-    if other.verdict not in ("cause", "confounded") or chosen is None:
-        return found
+    if other.verdict not in ("cause", "confounded") or chosen is None or len(chosen.causes) > 1:
+        return found  # two causes in the place of zeros are no simpler than these
     without = likelihood(sound, chosen.causes, chosen.fitted, chosen.scatters)
     extra = len(chosen.fitted.values) - len(null.values)
     without -= 0.5 * extra * np.log(max(found.runs, 2))
