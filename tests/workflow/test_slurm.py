@@ -21,8 +21,6 @@ from slipstitch.config import load_config
 from slipstitch.design.cost import JOB_KINDS, job_memory_mb, job_runtime_min
 from slipstitch.report.cost import read_benchmark
 
-pytestmark = pytest.mark.slow
-
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "srun", "scontrol")
 # The plugin takes every SLURM_ variable from its job steps: the configuration must lie here.
 CONFIGURATION = Path("/etc/slurm/slurm.conf")
@@ -42,6 +40,13 @@ def why_impossible() -> str:
     if CONFIGURATION.exists():
         return f"{CONFIGURATION} is there already: a Slurm that is not ours"
     return ""
+
+
+# Before any fixture: the local run that a cluster is compared with takes minutes.
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(bool(why_impossible()), reason=why_impossible() or "possible"),
+]
 
 
 def free_port() -> int:
@@ -79,9 +84,6 @@ PartitionName=main Nodes=ALL Default=YES MaxTime=INFINITE State=UP
 @pytest.fixture(scope="module")
 def slurm(tmp_path_factory):
     """A Slurm of one node with two cores; its state lies in a folder of its own."""
-    reason = why_impossible()
-    if reason:
-        pytest.skip(reason)
     folder = tmp_path_factory.mktemp("slurm")
     for part in folder, *folder.parents[:2]:
         part.chmod(0o755)  # munge refuses a socket that others cannot reach
