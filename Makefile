@@ -1,7 +1,7 @@
 # make all: everything from installation to results/report/index.html. make help lists the targets.
 
 PYTHON ?= python3.11
-CORES ?= $(shell [ "$$(nproc 2>/dev/null)" = 1 ] && echo 1 || echo 2)
+CORES ?= $(shell [ "$$(env -u OMP_NUM_THREADS nproc 2>/dev/null)" = 1 ] && echo 1 || echo 2)
 VENV := .venv
 BIN := $(VENV)/bin
 # pytest-xdist runs CORES processes, so that each gets one thread.
