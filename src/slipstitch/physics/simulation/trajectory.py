@@ -120,16 +120,19 @@ def write_trajectory(
     )
 
 
+MESH = ("rest_positions_m", "uv", "faces")
+
+
 def _mesh_layout(vertices: int, faces: int) -> np.dtype:
-    rest, uv = ("rest_positions_m", "f8", (vertices, 3)), ("uv", "f8", (vertices, 2))
-    return np.dtype([rest, uv, ("faces", "i4", (faces, 3))])
+    shapes = ("f8", (vertices, 3)), ("f8", (vertices, 2)), ("i4", (faces, 3))
+    return np.dtype([(name, *kind) for name, kind in zip(MESH, shapes, strict=True)])
 
 
 def _packed_mesh(trajectory: Trajectory) -> dict:
     """Rest positions, texture coordinates and faces as text: some 15 kB for 41 x 41 vertices."""
     faces = len(trajectory.faces)
     mesh = np.zeros((), _mesh_layout(len(trajectory.uv), faces))
-    for name in mesh.dtype.names:
+    for name in MESH:
         mesh[name] = getattr(trajectory, name)
     data = pa.Codec("zstd", 19).compress(mesh.tobytes(), asbytes=True)
     return {"faces": faces, "zstd_base64": base64.b64encode(data).decode()}
@@ -143,7 +146,7 @@ def _unpacked_mesh(packed: dict, vertices: int) -> dict:
     data = base64.b64decode(packed["zstd_base64"], validate=True)
     data = pa.Codec("zstd").decompress(data, layout.itemsize, asbytes=True)
     mesh = np.frombuffer(data, layout)[0]
-    return {name: mesh[name].copy() for name in layout.names}
+    return {name: mesh[name].copy() for name in MESH}
 
 
 def read_trajectory(path: str | os.PathLike) -> Trajectory:
@@ -188,7 +191,7 @@ def _mesh_of(path: str | os.PathLike, metadata: dict, vertices: int) -> dict:
         raise BadInput(f"{path}: not a trajectory: no 'mesh' in its metadata, no mesh.json beside")
     content = read_json(beside)
     kinds = _mesh_layout(1, 1)
-    mesh = {name: np.array(content[name], kinds[name].base) for name in kinds.names}
+    mesh = {name: np.array(content[name], kinds[name].base) for name in MESH}
     if len(mesh["rest_positions_m"]) != vertices:
         raise BadInput(
             f"{path}: {vertices} vertices, but {beside.name} beside has another mesh, of "
