@@ -190,27 +190,29 @@ class _Tails:
 
     def _outstanding(self, precision: np.ndarray) -> np.ndarray | None:
         """The alternative's columns that stand out most, if they do without any two runs."""
-        limit, found = -np.log(STANDS_OUT), []
+        pulled, limit, found = precision @ self._residual, -np.log(STANDS_OUT), []
+
+        def evidence(columns: np.ndarray) -> tuple[float, np.ndarray]:
+            """Minus the logarithm of the p of columns, and what they explain of the residual."""
+            gram, score = columns.T @ precision @ columns, columns.T @ pulled
+            if gram[0, 0] <= 1e-9:
+                return 0.0, np.zeros(len(pulled))
+            sizes = np.linalg.pinv(gram, 1e-6, hermitian=True) @ score
+            return -chi_square.logsf(float(score @ sizes), columns.shape[1]), columns @ sizes
+
         for test in self._tests:
-            columns = test.columns[self.group.index]
-            if (columns * (precision @ columns)).sum(0)[0] <= 1e-9 or test.nuisance is not None:
-                continue
-            evidence, effect = self._evidence(precision, columns)
-            if evidence > limit:
-                found.append((evidence, columns, effect))
-        for _, columns, effect in sorted(found, key=lambda one: -one[0]):
+            if test.nuisance is None:
+                columns = test.columns[self.group.index]
+                found.append((*evidence(columns), columns))
+        for strength, effect, columns in sorted(found, key=lambda one: -one[0]):
+            if strength <= limit:
+                break
             # A patch around one run is another word for a run that lies far off.
-            gains = np.bincount(self._run, effect * (precision @ self._residual))
+            gains = np.bincount(self._run, effect * pulled)
             others = ~np.isin(self._run, np.argsort(-gains)[:FAR_TOGETHER])
-            if self._evidence(precision, columns * others[:, None])[0] > limit:
+            if evidence(columns * others[:, None])[0] > limit:
                 return columns
         return None
-
-    def _evidence(self, precision: np.ndarray, columns: np.ndarray) -> tuple[float, np.ndarray]:
-        """Minus the logarithm of the p of columns, and what they explain of the residual."""
-        gram, score = columns.T @ precision @ columns, columns.T @ precision @ self._residual
-        sizes = np.linalg.pinv(gram, 1e-6, hermitian=True) @ score
-        return -chi_square.logsf(float(score @ sizes), columns.shape[1]), columns @ sizes
 
     def _judge(self, precision, pulled, usual) -> None:
         """Odds that a run, or one feature of it, is of the wide component; each excludes others."""
