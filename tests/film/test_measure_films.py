@@ -16,9 +16,9 @@ from slipstitch.base.provenance import file_digest
 from slipstitch.cli.main import main
 from slipstitch.config import load_config
 from slipstitch.film.measure import EXAMPLE_CAMERA, EXAMPLE_FOLDER, SHIPPED
-from slipstitch.film.measure.measurement_files import HALF_WIDTH, MeasuredPair, combined
+from slipstitch.film.measure.measurement_files import MeasuredPair, combined
 from slipstitch.film.measure.measuring_bench import MeasuringBench
-from slipstitch.learning.instrument.measuring import load_instrument
+from slipstitch.learning.instrument.measuring import HALF_WIDTH, load_instrument
 
 
 @pytest.mark.slow

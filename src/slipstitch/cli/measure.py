@@ -114,11 +114,11 @@ def _clamps(arguments: Arguments, bench):
     """The height of the clamps as told."""
     from slipstitch.film.measure.clamp_height import GAUGE_BLOCK_M, ClampHeight
 
-    error_mm, path = arguments.clamp_height_error_mm, bench.schedule.path
+    error_mm = arguments.clamp_height_error_mm
     return ClampHeight(
         1e-3 * arguments.clamp_height_mm,
         GAUGE_BLOCK_M if error_mm is None else 1e-3 * error_mm,
-        path.start_height_m - path.drop_m,
+        bench.schedule.path.lowered_height_m,
     )
 
 

@@ -58,7 +58,7 @@ def interpolations(config: Config) -> dict[tuple[str, str], Interpolation]:
     if not settings.share or not family:
         return {}
     path = StagePath(**dict(config.simulation.stage))
-    height_m = path.start_height_m - path.drop_m
+    height_m = path.lowered_height_m
     sides = sides_of_simulations(config)
     trained: dict[tuple[str, str], list[Simulation]] = defaultdict(list)
     for simulation in simulations(config):

@@ -31,6 +31,11 @@ class StagePath:
         return distance_m / self.speed_m_s + ramp_s
 
     @property
+    def lowered_height_m(self) -> float:
+        """Height of the clamps above the floor while they are dragged."""
+        return self.start_height_m - self.drop_m
+
+    @property
     def drop_duration_s(self) -> float:
         return self._travel_duration_s(self.drop_m)
 

@@ -85,7 +85,7 @@ class StageFollower:
 
     def __init__(self, lens: Camera, schedule: Schedule):
         path = schedule.path
-        height = path.start_height_m - path.drop_m
+        height = path.lowered_height_m
         rows = np.arange(_ABOVE_M, -_BELOW_M, -_GRID_M)
         columns = np.arange(-_HALF_WIDTH_M, _HALF_WIDTH_M, _GRID_M)
         points = in_stage_plane(schedule.crop(0.0), columns[None, :], (height + rows)[:, None])

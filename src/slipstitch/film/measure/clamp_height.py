@@ -4,9 +4,9 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import ndtri
 
 from slipstitch.base.errors import BadInput
+from slipstitch.learning.instrument.measuring import HALF_WIDTH
 from slipstitch.learning.prediction import Prediction
 
 # Relative change of what the instrument that comes with Slipstitch reads, per metre that the clamps
@@ -15,7 +15,6 @@ from slipstitch.learning.prediction import Prediction
 READING_PER_M, READING_PER_M_SD = -68.4, 17.8
 FURTHEST_M = 0.002
 GAUGE_BLOCK_M = 0.0002
-HALF_WIDTH = float(ndtri(0.95))  # of a 90 % interval, in standard deviations
 
 
 @dataclass(frozen=True)

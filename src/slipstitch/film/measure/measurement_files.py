@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import brentq
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtr
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import file_digest, provenance_record, write_json, write_text
@@ -18,9 +18,8 @@ from slipstitch.film.csv_table import FORMULA
 from slipstitch.film.measure import truth_of
 from slipstitch.film.measure.measuring_bench import MeasuredVideo, MeasuringBench
 from slipstitch.film.measure.pages import measurement_page, repeats_page
+from slipstitch.learning.instrument.measuring import COVERAGE, HALF_WIDTH
 
-COVERAGE = 0.9
-HALF_WIDTH = float(ndtri((1 + COVERAGE) / 2))  # standard deviations, of a normal distribution
 FEWEST_FOR_OUTLIERS = 3
 OUTLIER_CHANCE = 0.05  # of naming any video of a pair, where none is an outlier
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import torch
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
-from scipy.special import softmax
+from scipy.special import ndtri, softmax
 
 from slipstitch.base.errors import BadInput, first_line
 from slipstitch.config.instrument import InstrumentSettings
@@ -38,6 +38,7 @@ CARD = "instrument.json"
 ALARM = "alarm."
 NETWORKS_MAX = 16
 COVERAGE = 0.9  # of intervals: pages, columns and combined intervals say 90 %
+HALF_WIDTH = float(ndtri((1 + COVERAGE) / 2))  # standard deviations, of a normal distribution
 NOT_CALIBRATED = "the instrument is not calibrated: its errors are unknown"
 
 
