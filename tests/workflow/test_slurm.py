@@ -43,10 +43,8 @@ def why_impossible() -> str:
 
 
 # Before any fixture: the local run that a cluster is compared with takes minutes.
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(bool(why_impossible()), reason=why_impossible() or "possible"),
-]
+IMPOSSIBLE = why_impossible()
+pytestmark = [pytest.mark.slow, pytest.mark.skipif(bool(IMPOSSIBLE), reason=IMPOSSIBLE)]
 
 
 def free_port() -> int:

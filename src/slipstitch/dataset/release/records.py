@@ -16,7 +16,7 @@ from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import file_digest, read_metadata, read_parquet, read_provenance
 
 RECORDS = "records"
-#: Where `slipstitch.physics.simulation.handed_out` looks for the simulations of a release.
+#: Where `slipstitch.physics.simulation.simulation_files` looks for the simulations of a release.
 SIMULATIONS = "simulations"
 #: Written beside the dataset: a sample of its images against direct renders.
 VERIFICATION = "results/render/verification.json"
