@@ -14,11 +14,8 @@ from slipstitch.cli.main import main
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.resimulation import resimulate
 
-PLANTED = {
-    "anisotropy": {"anisotropy": 0.25},
-    "bending_error": {"bending_error": 1.0},
-    "nap": {"nap": 0.2},
-}
+# An anisotropy is planted by the surrogate case of the demo, which the workflow criticises.
+PLANTED = {"bending_error": {"bending_error": 1.0}, "nap": {"nap": 0.2}}
 # With one fabric at one mass, B and mass enter as B / w only: these two are one to the data. Zeros
 # of cameras and stage explain the shapes of a stiffer cloth as well: its law brings none closer.
 ANSWERS = {"bending_error": {("bending_error",), ("mass_error",)}}
