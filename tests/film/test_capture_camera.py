@@ -54,6 +54,20 @@ def work(tmp_path_factory):
     return folder
 
 
+def check_height(content, lens):
+    """Where the camera sees an edge across the track, it tells the height as well as it says."""
+    error_m = content["uncertainty"]["clamp_height_m"]
+    assert 0.0002 < error_m < 0.001
+    edge = np.array([[0.0, 0, 0.15], [0, 0.01, 0.15], [0, 0, 0.151]])
+    turn, translation_m = bench.camera_pose()
+    turn = cv2.Rodrigues(turn)[0]
+    true = cv2.projectPoints(edge, turn, translation_m, bench.MATRIX, bench.DISTORTION)[0][0, 0]
+    here, aside, up = lens.project(edge)
+    normal = np.array([here[1] - aside[1], aside[0] - here[0]])
+    off_m = 0.001 * (normal @ (true - here)) / (normal @ (up - here))
+    assert abs(off_m) < 3 * error_m
+
+
 def check_recovered(path):
     """The lens to within its own uncertainty, the camera's place to a few millimetres."""
     content = json.loads(path.read_text())
@@ -77,6 +91,7 @@ def check_recovered(path):
     true_rotation, _ = bench.camera_pose()
     turn = np.degrees(np.linalg.norm(cv2.Rodrigues(rotation @ true_rotation.T)[0]))
     assert turn < 0.6
+    check_height(content, lens)
     # What counts: where points of the stage appear.
     points = np.random.default_rng(0).uniform((-0.05, -0.1, 0), (0.35, 0.1, 0.2), (40, 3))
     pose = (cv2.Rodrigues(true_rotation)[0], bench.camera_pose()[1])

@@ -9,8 +9,10 @@ from support.refusal import refused
 
 from slipstitch.base.errors import BadInput
 from slipstitch.cli.main import main
-from slipstitch.film.measure import clamp_height
-from slipstitch.film.measure.clamp_height import ClampHeight
+from slipstitch.film.edge_height import EdgeFinder, EdgeHeight
+from slipstitch.film.measure import EXAMPLE_CAMERA, EXAMPLE_VIDEO, clamp_height
+from slipstitch.film.measure.clamp_height import ClampHeight, SeenClamps
+from slipstitch.images.camera_file import HEIGHT
 from slipstitch.learning.prediction import Prediction
 
 MEASURED = Path(__file__).parents[2] / "results/published/camera/clamp_height.json"
@@ -91,9 +93,59 @@ def test_the_command_refuses_what_it_cannot_use(tmp_path, capsys):
 def test_the_result_says_what_was_told_and_what_it_does(tmp_path, capsys):
     files = ["--out", str(tmp_path / "page.html"), "--json", str(tmp_path / "numbers.json")]
     assert main(["measure", "--example", "--clamp-height-mm", "150.5", *files]) == 0
-    told = "clamps at 150.5 ± 0.2 mm as told, +0.5 mm from the protocol: the reading"
+    told = "clamps at 150.5 ± 0.2 mm, told, +0.5 mm from the protocol: the reading"
     assert f"note: {told}" in capsys.readouterr().out
-    assert f"C{told[1:]}" in (tmp_path / "page.html").read_text()
+    page = (tmp_path / "page.html").read_text()
+    assert f"C{told[1:]}" in page and "<td>149 ... 151 mm</td><td>150.5 ± 0.2 mm, told</td>" in page
     numbers = json.loads((tmp_path / "numbers.json").read_text())
     assert numbers["clamp_height_mm"] == pytest.approx(150.5)
     assert numbers["clamp_height_factor"] == pytest.approx(1 / (1 - 0.0342))
+
+
+@pytest.fixture
+def exact_camera(tmp_path):
+    """The example's camera, which tells heights to 0.3 mm."""
+    content = json.loads(EXAMPLE_CAMERA.read_text()) | {"uncertainty": {HEIGHT: 0.0003}}
+    (tmp_path / "camera.json").write_text(json.dumps(content))
+    return tmp_path / "camera.json"
+
+
+@pytest.mark.parametrize(
+    ("height_m", "code", "says"),
+    [
+        (0.1508, 0, "note: clamps at 150.8 ± 0.5 mm, measured from the film (image ± 0.4, camera"),
+        (0.1534, 3, "ALARM: the clamps hang at 153.4 ± 0.5 mm (image ± 0.4, camera ± 0.3 mm) "),
+    ],
+)
+def test_a_height_in_the_film_corrects_or_alarms(
+    exact_camera, monkeypatch, capsys, height_m, code, says
+):
+    seen = EdgeHeight(height_m, 0.0004)
+    monkeypatch.setattr(EdgeFinder, "found", lambda self: seen)
+    numbers = exact_camera.with_name("numbers.json")
+    words = ["measure", str(EXAMPLE_VIDEO), "--camera", str(exact_camera), "--json", str(numbers)]
+    assert main(words) == code
+    assert says in capsys.readouterr().out
+    told = json.loads(numbers.read_text())
+    assert told["clamp_height_seen_mm"] == pytest.approx(1e3 * height_m)
+    assert (told["clamp_height_factor"] is None) == bool(code)
+
+
+@pytest.mark.parametrize(
+    ("height_mm", "camera_mm", "told", "corrects", "says"),
+    [
+        (151.9, 0.3, None, True, "+1.9 mm from the height of the protocol"),
+        (150.9, 0.3, None, True, ""),
+        (153.0, 1.7, None, False, ""),
+        (154.0, 1.7, None, False, "seen at 154.0 ± 1.7 mm (image ± 0.4, camera ± 1.7 mm), +4.0 mm"),
+        (151.5, 0.3, clamps(150.2), True, "+1.3 mm from the height told"),
+        (150.9, 0.3, clamps(150.2), True, ""),
+    ],
+)
+def test_a_height_in_the_film_is_used_if_exact_and_contradicts(
+    height_mm, camera_mm, told, corrects, says
+):
+    seen = SeenClamps(1e-3 * height_mm, 0.0004, 1e-3 * camera_mm, 0.15)
+    assert bool(seen.measured()) == corrects
+    found = seen.contradiction(told)
+    assert says in found and bool(found) == bool(says)

@@ -68,7 +68,8 @@ def camera_file(camera: Camera, path: Path) -> Path:
 class Bench:
     """What one camera sees, at any time of the protocol."""
 
-    def __init__(self, camera: Camera):
+    def __init__(self, camera: Camera, lifted_m: float = 0.0):
+        self.lifted_m = lifted_m  # by which the clamps hang too high
         columns, rows = camera.size_px
         self.shape = (rows, columns)
         part = (np.arange(_RAYS) + 0.5) / _RAYS - 0.5
@@ -91,7 +92,7 @@ class Bench:
         """Linear light (rows, columns, 3) at a time of the protocol; before 0 nothing moves."""
         if time_s <= 0 and self.rest is not None:
             return self.rest
-        x_m, z_m = PATH.position_m(max(time_s, 0.0))
+        x_m, z_m = PATH.position_m(max(time_s, 0.0)) + np.array([0.0, self.lifted_m])
         along = (x_m - self.eye[0]) / self.rays[:, 0]
         y = self.eye[1] + along * self.rays[:, 1]
         z = self.eye[2] + along * self.rays[:, 2]

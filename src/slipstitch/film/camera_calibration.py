@@ -15,9 +15,11 @@ from matplotlib.figure import Figure
 from slipstitch.base.errors import BadInput
 from slipstitch.base.page.figures import plain_text, save_figure
 from slipstitch.base.provenance import provenance_record, recorded_path, start_clock, write_sidecar
+from slipstitch.design.stage_path import StagePath
 from slipstitch.film.board import Board, BoardView, check_size, read_image, read_views
 from slipstitch.images.camera import Lens
 from slipstitch.images.camera_file import (
+    HEIGHT,
     check_position,
     lens_record,
     read_foreign_lens,
@@ -31,6 +33,8 @@ _FOCAL_UNCERTAINTY = 0.01
 # A view this many times worse than the median one is a mistaken sighting.
 _OUTLIER = 4.0
 _OUTLIER_PX = 0.5
+# A ruler puts the board on the floor as exactly, and its face is as high as stated, as that.
+_PLACE_SD_M, _THICKNESS_SD_M = 0.0005, 0.0002
 _FOLDS = 3
 _AS_GOOD = 1.001
 
@@ -192,6 +196,9 @@ class StagePose:
     translation_m: np.ndarray  # (3,)
     # standard deviation of the camera's place, from the scatter of the residuals
     position_uncertainty_m: float
+    # of heights above the floor that the camera tells where the clamps are, from the scatter and
+    # from the place of the board
+    height_uncertainty_m: float
     rms_px: float
     place: FloorPlace
 
@@ -234,8 +241,14 @@ def stage_pose(
     covariance = variance * np.linalg.inv(jacobian[:, :6].T @ jacobian[:, :6])
     moved = _place_derivative(rvec, tvec)
     spread = moved @ covariance @ moved.T
-    position_sd_m = float(np.sqrt(np.trace(spread)))
-    pose = StagePose(cv2.Rodrigues(rvec)[0], tvec.ravel(), position_sd_m, _rms(residuals), place)
+    pose = StagePose(
+        cv2.Rodrigues(rvec)[0],
+        tvec.ravel(),
+        float(np.sqrt(np.trace(spread))),
+        _height_sd_m(rvec, tvec, model, covariance),
+        _rms(residuals),
+        place,
+    )
     squares = f": are the squares {1e3 * board.square_m:g} mm (--square-mm)?"
     check_position(name, pose.position_m, squares)
     return pose
@@ -247,6 +260,21 @@ def _place_derivative(rvec: np.ndarray, tvec: np.ndarray) -> np.ndarray:
     # OpenCV gives the derivative of the nine entries of R, row by row.
     by_turn = -np.einsum("kij,il->jk", turn.reshape(3, 3, 3), tvec)
     return np.hstack([by_turn, -rotation.T])
+
+
+def _height_sd_m(rvec, tvec, model, covariance: np.ndarray) -> float:
+    """How well the camera tells the height of an edge across the track at the clamps' first place.
+
+    Its rotation vector and translation have this covariance (6, 6).
+    """
+    step_m = 0.001
+    edge = np.array([0.0, 0.0, StagePath().lowered_height_m]) + step_m * np.eye(4, 3, -1)
+    seen, jacobian = cv2.projectPoints(edge, rvec, tvec, *model)
+    ahead, aside, up = seen[1:, 0] - seen[0, 0]
+    normal = np.array([-aside[1], aside[0]])  # of the edge in the image
+    moved_m = step_m * (normal @ jacobian[:2, :6]) / (normal @ up)
+    placed_m = _PLACE_SD_M * (normal @ ahead) / (normal @ up)
+    return float(np.sqrt(moved_m @ covariance @ moved_m + placed_m**2 + _THICKNESS_SD_M**2))
 
 
 _ARROW_SHARE = 0.04  # of the image's width, for a residual at the 95th percentile
@@ -294,6 +322,7 @@ def camera_to_file(
         inputs.append(stage_view)
         line += stage.summary()
     known.setdefault("uncertainty", {})["position_m"] = stage and stage.position_uncertainty_m
+    known["uncertainty"][HEIGHT] = stage and stage.height_uncertainty_m
     known.setdefault("reprojection_error_px", {})["stage_view"] = stage and stage.rms_px
     on_floor = {"board": board and asdict(board), "place": stage and asdict(stage.place)}
     content = {

@@ -14,11 +14,12 @@ from scipy.optimize import least_squares
 
 from slipstitch.base.errors import BadInput
 from slipstitch.design.stage_path import SIDE_M, StagePath
+from slipstitch.film.edge_height import REST_S, EdgeFinder, cut_out
 from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.recording import GIVE_RATE
 from slipstitch.film.stage_start import vertex_of_parabola
 from slipstitch.images.camera import Camera
-from slipstitch.images.rectification import bounds, in_stage_plane
+from slipstitch.images.rectification import in_stage_plane
 
 #: Seconds between the frames that are looked at.
 INTERVAL_S = 1.0
@@ -33,8 +34,8 @@ _KNOT_M = 0.02
 # How far it is looked for: this much, and as far as a clock wrong by this share would put it.
 _REACH_M, _REACH_RATE = 0.012, 0.08
 _RATES = np.arange(0.93, 1.0701, 0.0005)
-# The template is taken where the stage rests between drop and drag, give or take this.
-_REST_S, _REST_FRAMES = 0.35, 3
+# The template is taken from so many frames, where the stage rests between drop and drag.
+_REST_FRAMES = 3
 # A place counts if the cloth is recognised there, and is near the best path. Dragged cloth leans
 # and is little like its edge at rest: that the places follow a path says more than likeness.
 _LEAST_LIKENESS = 0.2
@@ -99,6 +100,8 @@ class StageFollower:
         step_px = np.linalg.norm(np.diff(self._knots[len(self._knots) // 2], axis=1), axis=-1)
         # What is finer than the grid would alias.
         self._blur_px = 0.6 * float(np.median(step_px))
+        #: Told by the same frames.
+        self.edge = EdgeFinder(lens, schedule)
         self._rest: list[np.ndarray] = []
         self._seen: list[tuple[float, np.ndarray]] = []
         self._thumbnails: list[np.ndarray] = []
@@ -109,7 +112,7 @@ class StageFollower:
         Few are to be decoded: a frame that can be decoded without those before it (`is_key`) is
         taken in place of the frame that is due, if it is near.
         """
-        rest = np.flatnonzero(np.abs(time_s - self._path.drop_duration_s) <= _REST_S)
+        rest = np.flatnonzero(np.abs(time_s - self._path.drop_duration_s) <= REST_S)
         chosen = list(map(int, rest[:_REST_FRAMES]))
         if not chosen:
             return []
@@ -126,6 +129,7 @@ class StageFollower:
 
     def add(self, time_s: float, image: np.ndarray) -> None:
         """Look for the edge in a frame (rows, columns, 3) uint8 at a time from the start."""
+        self.edge.add(time_s, image)
         away_m = abs(self._x_m - self._commanded_m(time_s))
         near = np.flatnonzero(away_m <= self._reach_m(time_s))
         grey, maps = self._part(image, self._maps(self._x_m[near]))
@@ -133,7 +137,7 @@ class StageFollower:
         patches = np.stack(
             [cv2.remap(grey, x[k], y[k], cv2.INTER_LINEAR) for k in range(len(maps))]
         )
-        if abs(time_s - self._path.drop_duration_s) <= _REST_S:
+        if abs(time_s - self._path.drop_duration_s) <= REST_S:
             self._rest.append(patches[np.argmin(abs(self._x_m[near]))])
             return
         likeness = np.full(len(self._x_m), np.nan, np.float32)
@@ -179,17 +183,11 @@ class StageFollower:
 
     def _part(self, image: np.ndarray, maps: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The part of a frame that the maps reach, grey and smooth, and the maps into it."""
-        margin = int(3 * self._blur_px) + 2
-        rows, columns = image.shape[:2]
-        low, high = bounds(maps)
-        low = np.floor(low).astype(int) - margin
-        high = np.ceil(high).astype(int) + margin
-        low = np.clip(low, 0, (columns - 1, rows - 1))
-        high = np.clip(high, low + 1, (columns, rows))
-        part = cv2.cvtColor(image[low[1] : high[1], low[0] : high[0]], cv2.COLOR_BGR2GRAY)
+        part, maps = cut_out(image, maps, int(3 * self._blur_px) + 2)
+        part = cv2.cvtColor(part, cv2.COLOR_BGR2GRAY)
         if self._blur_px > 0.3:
             part = cv2.GaussianBlur(part, (0, 0), self._blur_px)
-        return part.astype(np.float32), maps - low.astype(np.float32)
+        return part.astype(np.float32), maps
 
     def time_base(self) -> TimeBase | None:
         """The clock that explains the places best; None if too few were recognised."""

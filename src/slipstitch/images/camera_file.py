@@ -30,6 +30,8 @@ CONVENTION = (
 )
 #: Terms of the distortion in OpenCV's order.
 DISTORTION = ("k1", "k2", "p1", "p2", "k3")
+#: Among the uncertainties: of heights above the floor that the camera tells where the clamps are.
+HEIGHT = "clamp_height_m"
 _LARGEST_FILE = 1_000_000
 # From the middle of the track, 30 cm long, and above the floor. A square of the board given in the
 # wrong unit puts the camera at a tenth or ten times of its distance.
@@ -117,6 +119,13 @@ def read_camera_file(path: str | os.PathLike) -> Camera:
         check_position(f"{path}: translation_m", -rotation.T @ translation_m)
     matrix = np.array([[focal[0], 0, middle[0]], [0, focal[1], middle[1]], [0, 0, 1.0]])
     return Camera(rotation, translation_m, matrix, *size_px, distortion)
+
+
+def stated_height_error_m(path: str | os.PathLike) -> float | None:
+    """Standard deviation of heights that a camera tells, if its file states one that can be."""
+    uncertainty = _content(path).get("uncertainty")
+    stated = uncertainty.get(HEIGHT) if isinstance(uncertainty, Mapping) else None
+    return stated if isinstance(stated, float) and 0 < stated < 1 else None
 
 
 def check_position(where: str, position_m: np.ndarray, hint: str = "") -> None:

@@ -15,6 +15,8 @@ from slipstitch.learning.prediction import Prediction
 READING_PER_M, READING_PER_M_SD = -68.4, 17.8
 FURTHEST_M = 0.002
 GAUGE_BLOCK_M = 0.0002
+#: Of the heights that the instrument's intervals allow for, and up to which it learnt.
+ASSUMED_M = 0.001
 
 
 @dataclass(frozen=True)
@@ -25,11 +27,13 @@ class ClampHeight:
     ----------
     height_m, error_m : measured height and its standard deviation.
     protocol_m : the height that the protocol says.
+    source : who measured it.
     """
 
     height_m: float
     error_m: float
     protocol_m: float
+    source: str = "told"
 
     def __post_init__(self):
         within = [1e3 * (self.protocol_m + sign * FURTHEST_M) for sign in (-1, 1)]
@@ -43,6 +47,9 @@ class ClampHeight:
                 f"error of the clamp height {1e3 * self.error_m:g} mm: must be above 0 and at most "
                 f"{1e3 * FURTHEST_M:g} mm"
             )
+
+    def __str__(self) -> str:
+        return f"{1e3 * self.height_m:g} ± {1e3 * self.error_m:g} mm, {self.source}"
 
     @property
     def factor(self) -> float:
@@ -83,9 +90,60 @@ class ClampHeight:
     def note(self, corrected: float) -> str:
         """What the height does to a corrected coefficient, for the person who reads it."""
         return (
-            f"clamps at {1e3 * self.height_m:g} ± {1e3 * self.error_m:g} mm as told, "
-            f"{1e3 * (self.height_m - self.protocol_m):+.2g} mm from the protocol: the reading "
-            f"{corrected / self.factor:.3f} is corrected by {100 * (self.factor - 1):+.1f} %, "
-            f"which adds ± {self.relative_error * corrected:.3f} to its error; measured for "
-            "coefficients from 0.5 to 1.25"
+            f"clamps at {self}, {1e3 * (self.height_m - self.protocol_m):+.2g} mm from the "
+            f"protocol: the reading {corrected / self.factor:.3f} is corrected by "
+            f"{100 * (self.factor - 1):+.1f} %, which adds ± "
+            f"{self.relative_error * corrected:.3f} to its error; measured for coefficients from "
+            "0.5 to 1.25"
+        )
+
+
+@dataclass(frozen=True)
+class SeenClamps:
+    """Height of the lowered clamps as a film shows it, with standard deviations."""
+
+    height_m: float
+    of_image_m: float  # of the edge in the image
+    of_camera_m: float
+    protocol_m: float
+
+    def __str__(self) -> str:
+        return f"{1e3 * self.height_m:.1f} ± {1e3 * self.error_m:.1f} mm ({self._parts})"
+
+    @property
+    def _parts(self) -> str:
+        return f"image ± {1e3 * self.of_image_m:.1f}, camera ± {1e3 * self.of_camera_m:.1f} mm"
+
+    @property
+    def error_m(self) -> float:
+        """Of the whole."""
+        return math.hypot(self.of_image_m, self.of_camera_m)
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether the film tells more than is assumed of every bench."""
+        return self.error_m < ASSUMED_M
+
+    @property
+    def is_too_far(self) -> bool:
+        """Whether the clamps hang where nobody knows what the instrument reads."""
+        return self.is_exact and abs(self.height_m - self.protocol_m) > FURTHEST_M
+
+    def measured(self) -> ClampHeight | None:
+        """What corrects a reading; None where the film tells too little, or they are too far."""
+        if not self.is_exact or self.is_too_far:
+            return None
+        height_m, error_m = round(self.height_m, 5), round(self.error_m, 5)
+        source = f"measured from the film ({self._parts})"
+        return ClampHeight(height_m, error_m, self.protocol_m, source)
+
+    def contradiction(self, told: ClampHeight | None) -> str:
+        """What is to be said of a height that the film contradicts; empty where it does not."""
+        height_m, error_m = (told.height_m, told.error_m) if told else (self.protocol_m, 0.0)
+        away_m = self.height_m - height_m
+        if abs(away_m) <= 2 * math.hypot(self.error_m, error_m):
+            return ""
+        return (
+            f"in the film the clamps are seen at {self}, {1e3 * away_m:+.1f} mm from the height "
+            f"{'told' if told else 'of the protocol'}: measure it with a gauge block"
         )

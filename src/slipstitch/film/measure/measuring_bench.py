@@ -15,10 +15,11 @@ from slipstitch.config.train import REFLECTIVE
 from slipstitch.design.sampled_frames import sampled_frames
 from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.measure import SHIPPED
-from slipstitch.film.measure.clamp_height import ClampHeight
+from slipstitch.film.measure.clamp_height import ASSUMED_M, READING_PER_M, ClampHeight, SeenClamps
 from slipstitch.film.stage_video import StageVideo, problem_of_view, read_stage_video, seen_shares
-from slipstitch.images.camera import POSE, Camera, relative_pose
-from slipstitch.images.camera_file import read_camera_file
+from slipstitch.images.bench_camera import POSITION_SD_M, ROTATION_SD_DEG
+from slipstitch.images.camera import AIM_M, POSE, Camera, relative_pose
+from slipstitch.images.camera_file import read_camera_file, stated_height_error_m
 from slipstitch.learning.instrument.distribution import quantiles
 from slipstitch.learning.instrument.measuring import Instrument, load_instrument
 from slipstitch.learning.instrument.poses import just_beyond, outside
@@ -39,6 +40,8 @@ class MeasuredVideo:
     # half the width of the middle 68 % of the distribution, stretched as its interval is
     uncertainty: float
     bench: "MeasuringBench"
+    clamps: ClampHeight | None = None  # by which the reading was corrected
+    seen_clamps: SeenClamps | None = None
     # (frames, points, 2): where the instrument sees the cloth's keypoints in the frames, if it
     # learnt to
     keypoints_px: np.ndarray | None = None
@@ -57,16 +60,34 @@ class MeasuredVideo:
     def notes(self) -> list[str]:
         """What is to be known of the video and of the instrument."""
         notes = [*self.video.notes, *self.bench.caveats]
-        if clamps := self.bench.clamps:
+        if clamps := self.clamps:
             notes.append(clamps.note(self.measurement.friction_coefficient))
+        if (seen := self.seen_clamps) and not (clamps and clamps is not self.bench.clamps):
+            notes += filter(None, [seen.contradiction(clamps)])
         return notes
 
     @property
     def alarm_reason(self) -> str:
-        """Why the numbers are not reliable: the images, the camera's pose; empty without alarm."""
-        outside = self.bench.outside
+        """Why the numbers are not reliable: the images, the camera's pose, the clamps; or empty."""
+        outside, seen = self.bench.outside, self.seen_clamps
         pose = f"{_OUTSIDE}: {'; '.join(outside)}" if outside else ""
-        return "; ".join(filter(None, (self.measurement.alarm_reason, pose)))
+        clamps = ""
+        if not self.clamps and seen and seen.is_too_far:
+            clamps = f"the clamps hang at {seen} (trained on {self.bench.trained_heights})"
+        return "; ".join(filter(None, (self.measurement.alarm_reason, pose, clamps)))
+
+    @property
+    def height_of_clamps(self) -> str:
+        """The height, how it is known, and what it is worth where it is not."""
+        seen = self.seen_clamps
+        if self.clamps:
+            return str(self.clamps)
+        height_mm = 1e3 * self.bench.schedule.path.lowered_height_m
+        of_height = abs(READING_PER_M) * ASSUMED_M * self.measurement.friction_coefficient
+        return (
+            f"assumed {height_mm:g} ± {1e3 * ASSUMED_M:g} mm, ± {of_height:.3f} of friction within "
+            f"its interval{f'; the film shows {seen}' if seen else ''}"
+        )
 
     @property
     def fabric(self) -> tuple[str, float]:
@@ -93,13 +114,17 @@ class MeasuredVideo:
 
     def numbers(self) -> dict[str, Any]:
         """The result for a program."""
-        measured, video, clamps = self.measurement, self.video, self.bench.clamps
+        measured, video, clamps = self.measurement, self.video, self.clamps
+        seen = self.seen_clamps
         return {
             "video": self.name,
             "friction_coefficient": measured.friction_coefficient,
             "clamp_height_mm": clamps and 1e3 * clamps.height_m,
             "clamp_height_error_mm": clamps and 1e3 * clamps.error_m,
+            "clamp_height_source": clamps and clamps.source,
             "clamp_height_factor": clamps and clamps.factor,
+            "clamp_height_seen_mm": seen and 1e3 * seen.height_m,
+            "clamp_height_seen_error_mm": seen and 1e3 * seen.error_m,
             "uncertainty": None if self.without_error_bar else self.uncertainty,
             "interval_90": list(map(float, measured.interval_90)),
             "distribution": [np.asarray(part).tolist() for part in measured.distribution],
@@ -128,6 +153,8 @@ class MeasuringBench:
     config_path: Path  # the configuration that told which frames to take
     schedule: Schedule
     floors: tuple[str, ...]  # floors of the training
+    is_shipped: bool  # whether its response to the clamps' height is known
+    height_error_m: float  # standard deviation of heights that the camera tells
     clamps: ClampHeight | None = None  # as told; None: as high as the protocol says
 
     @property
@@ -144,6 +171,12 @@ class MeasuringBench:
     def outside(self) -> tuple[str, ...]:
         """Where the camera's pose is outside the training range, in words."""
         return tuple(outside(self.pose, self.pose_range)) if self.pose_range else ()
+
+    @property
+    def trained_heights(self) -> str:
+        """Between which the lowered clamps hung in the training, nearly always."""
+        height_mm = 1e3 * self.schedule.path.lowered_height_m
+        return " ... ".join(f"{height_mm + sign * 1e3 * ASSUMED_M:g}" for sign in (-1, 1)) + " mm"
 
     @property
     def caveats(self) -> tuple[str, ...]:
@@ -171,12 +204,26 @@ class MeasuringBench:
         grid, probability = map(np.asarray, measured.distribution)
         factor = self.instrument.conformal_scale
         uncertainty = _half_width(grid, probability) * (factor if math.isfinite(factor) else 1.0)
-        if self.clamps:
-            measured = self.clamps.corrected(measured)
-            of_height = self.clamps.relative_error * measured.friction_coefficient
-            uncertainty = math.hypot(self.clamps.factor * uncertainty, of_height)
+        seen = video.edge and SeenClamps(
+            video.edge.height_m,
+            video.edge.error_m,
+            self.height_error_m,
+            self.schedule.path.lowered_height_m,
+        )
+        clamps = self.clamps or (seen.measured() if seen and self.is_shipped else None)
+        if clamps:
+            measured = clamps.corrected(measured)
+            of_height = clamps.relative_error * measured.friction_coefficient
+            uncertainty = math.hypot(clamps.factor * uncertainty, of_height)
         return MeasuredVideo(
-            Path(path).name, video, measured, uncertainty, self, self._keypoints_px(video, measured)
+            Path(path).name,
+            video,
+            measured,
+            uncertainty,
+            self,
+            clamps,
+            seen,
+            self._keypoints_px(video, measured),
         )
 
     def _keypoints_px(self, video: StageVideo, measured: Prediction) -> np.ndarray | None:
@@ -251,7 +298,23 @@ def opened_bench(
     floors = list(settings.render.floors)
     if instrument.card.get("split") == REFLECTIVE:
         floors += settings.render.reflective_floors
-    return MeasuringBench(lens, instrument, config_path, schedule, tuple(dict.fromkeys(floors)))
+    return MeasuringBench(
+        lens,
+        instrument,
+        config_path,
+        schedule,
+        tuple(dict.fromkeys(floors)),
+        is_shipped=Path(model) == SHIPPED,
+        height_error_m=stated_height_error_m(camera) or _trained_height_error_m(lens),
+    )
+
+
+def _trained_height_error_m(lens: Camera) -> float:
+    """Standard deviation of heights that a camera tells whose calibration errs as in training."""
+    away_m = -lens.rotation.T @ lens.translation_m - AIM_M
+    distance_m = float(np.linalg.norm(away_m))
+    across_m = math.hypot(math.radians(ROTATION_SD_DEG) * distance_m, POSITION_SD_M)
+    return across_m * distance_m / math.hypot(*away_m[:2])
 
 
 def shipped_for(config: Config) -> Path | None:

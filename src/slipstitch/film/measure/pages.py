@@ -12,9 +12,8 @@ from slipstitch.base.page.palette import BLUE, FRAME, INK, INTERVAL, SOFT, VERMI
 from slipstitch.base.page.templates import render
 from slipstitch.base.page.wording import number, percent, span
 from slipstitch.film.measure.measuring_bench import MeasuredVideo
-from slipstitch.images.camera import POSE
 from slipstitch.images.encoding import encode_png
-from slipstitch.learning.instrument.poses import in_words
+from slipstitch.learning.instrument.poses import TITLES, shown
 
 if TYPE_CHECKING:
     from slipstitch.film.measure.measurement_files import MeasuredPair
@@ -56,7 +55,6 @@ def measurement_page(result: MeasuredVideo, known: dict[str, Any] | None = None)
         Of the example: the true fabric, substrate and friction.
     """
     measured, video, bench = result.measurement, result.video, result.bench
-    trained = bench.pose_range
     weights = np.asarray(measured.attention_weights, dtype=float)
     frames = _frames(result)
     materials = sorted(measured.material_probabilities.items(), key=lambda item: -item[1])
@@ -82,8 +80,10 @@ def measurement_page(result: MeasuredVideo, known: dict[str, Any] | None = None)
         start=video.start,
         video=video,
         instrument=result.instrument[:12],
-        poses=[in_words(one, video.pose[one], trained[one]) for one in POSE] if trained else [],
-        floors=bench.floors,
+        bench=bench,
+        titles=TITLES,
+        shown=shown,
+        height_of_clamps=result.height_of_clamps,
         rings=result.keypoints_px is not None,
     )
 
