@@ -16,10 +16,10 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 from support import analytic_stage, synthetic_chain
+from support.refusal import run
 
 from slipstitch.base.errors import BadInput, SlipstitchError
 from slipstitch.base.provenance import attach_metadata, read_metadata
-from slipstitch.cli.main import main
 from slipstitch.config.catalogue import VIEWPOINTS, fabric_names
 from slipstitch.dataset.audit.auditing import audit_release
 from slipstitch.dataset.images import decode, pixels_digest
@@ -53,8 +53,8 @@ def release(original):
 
 
 @pytest.fixture(scope="module")
-def manifest(release):
-    return pq.read_table(release / "manifest.parquet").to_pylist()
+def manifest(original):
+    return pq.read_table(original / "manifest.parquet").to_pylist()
 
 
 @pytest.fixture
@@ -151,17 +151,11 @@ def test_unseen_fabrics_are_drawn_with_the_seed_and_leave_some_to_train():
 
 def test_interpolated_videos_bring_nothing_of_what_is_held_out_into_training():
     """Of 6 coefficients and 4 fabrics, films lie between any neighbours that are dragged."""
+    grid = {"materials": fabric_names()[:4], "frictions": [0.4, 0.6, 0.8, 1.0, 1.2, 1.4]}
+    render = {"viewpoints": ["bench_1", "bench_2"], "textures": ["stripes"]}
     config = synthetic_chain.config(
-        grid={
-            "materials": fabric_names()[:4],
-            "frictions": [0.4, 0.6, 0.8, 1.0, 1.2, 1.4],
-            "replicates": 2,
-        },
-        render={
-            "viewpoints": ["bench_1", "bench_2"],
-            "textures": ["stripes"],
-            "interpolation": {"share": 0.7},
-        },
+        grid=grid | {"replicates": 2},
+        render=render | {"interpolation": {"share": 0.7}},
         train={"splits": ["by_simulation"]},
     )
     grid, shown = {one.id: one for one in simulations(config)}, interpolations(config)
@@ -187,30 +181,22 @@ def test_interpolated_videos_bring_nothing_of_what_is_held_out_into_training():
         for film in trained:
             parents = [grid[name] for name in (shown[film].weights if film in shown else film[:1])]
             assert held.isdisjoint(getattr(parent, key) for parent in parents)
-    labels = [
-        (row["friction"], side) for row, side in zip(rows, splits["unseen_friction"], strict=True)
-    ]
-    tested = {friction for friction, side in labels if side == "test"}
-    assert all(
-        abs(one - other) > 0.19 for one, side in labels if side == "train" for other in tested
-    )
+    frictions, sides = np.array([row["friction"] for row in rows]), splits["unseen_friction"]
+    sides = np.array(sides)
+    apart = np.subtract.outer(frictions[sides == "train"], frictions[sides == "test"])
+    assert np.abs(apart).min() > 0.19
 
 
 def test_any_kind_with_a_role_gets_its_split():
     base = {"material": "a", "friction": 0.1, "split_by_video": "train"}
     base |= {"simulation": "m00_f0100_r00", "viewpoint_id": "v00"}
     base |= {"split_by_simulation": "train", "floor_role": "train", "texture_role": "train"}
-    rows = [
-        base,
-        base | {"split_by_video": "test", "floor_role": "test"},
-        base | {"split_by_video": "test", "floor_role": "test", "texture_role": "test"},
-    ]
-    splits = split_columns(rows, CONFIG)
+    floor = base | {"split_by_video": "test", "floor_role": "test"}
+    splits = split_columns([base, floor, floor | {"texture_role": "test"}], CONFIG)
     assert splits == {"unseen_floor": ["train", "test", None]}
     assert parts(splits) == ["part00", "part01", "part02"]
-    assert parts_of_splits(splits, parts(splits)) == {
-        "unseen_floor": {"train": ["part00"], "test": ["part01"]}
-    }
+    found = parts_of_splits(splits, parts(splits))
+    assert found == {"unseen_floor": {"train": ["part00"], "test": ["part01"]}}
 
 
 @pytest.mark.slow
@@ -219,17 +205,8 @@ def test_lines_of_the_card_load_the_data(release, manifest, tmp_path):
     blocks = re.findall(r"```python\n(.*?)```", card, re.DOTALL)
     assert len(blocks) == 3
     offline = {"HF_HOME": str(tmp_path), "HF_HUB_OFFLINE": "1", "HF_DATASETS_OFFLINE": "1"}
-    said = []
-    for block in blocks:
-        answer = subprocess.run(
-            [sys.executable, "-c", block],
-            cwd=release,
-            env=os.environ | offline,
-            capture_output=True,
-            text=True,
-        )
-        assert answer.returncode == 0, answer.stderr
-        said.append(answer.stdout)
+    of_run = {"cwd": release, "env": os.environ | offline, "text": True}
+    said = [subprocess.check_output([sys.executable, "-c", one], **of_run) for one in blocks]
     first = min(
         (row for row in manifest if row["split_by_simulation"] == "train"),
         key=lambda row: (row["shard"], row["first_row"]),
@@ -245,17 +222,11 @@ def test_hugging_face_splits_hold_the_videos_of_the_manifest(release, manifest, 
     configs = {one["config_name"]: one["data_files"] for one in head["configs"]}
     names = {name.removeprefix("split_") for name in manifest[0] if name.startswith("split_")}
     assert set(configs) == names | {"everything"}
-    for name in names:
-        for one in configs[name]:
-            found = {
-                video
-                for pattern in one["path"]
-                for path in release.glob(pattern)
-                for video in pq.read_table(path, columns=["video"])["video"].to_pylist()
-            }
-            assert found == {
-                row["video"] for row in manifest if row[f"split_{name}"] == one["split"]
-            }
+    for name, one in ((split, one) for split in names for one in configs[split]):
+        paths = [path for pattern in one["path"] for path in release.glob(pattern)]
+        found = pd.concat(pd.read_parquet(path, columns=["video"]) for path in paths)["video"]
+        there = {row["video"] for row in manifest if row[f"split_{name}"] == one["split"]}
+        assert set(found) == there
 
 
 def test_croissant_is_valid_and_reads_the_records_back(release, manifest):
@@ -338,15 +309,14 @@ def test_same_results_make_the_same_bytes(release, results, tmp_path, elsewhere)
 
 @pytest.mark.slow
 def test_rows_digest_is_of_the_rows_alone(tmp_path):
+    def digest(table, **options):
+        pq.write_table(table, tmp_path / "x.parquet", **options)
+        return rows_digest(tmp_path / "x.parquet")
+
     table = pa.table({"a": np.arange(7.0), "b": list("abcdefg")})
-    first, second = tmp_path / "first.parquet", tmp_path / "second.parquet"
-    pq.write_table(table, first)
-    pq.write_table(
-        attach_metadata(table, {"wall_s": 3.0}), second, row_group_size=2, compression="gzip"
-    )
-    assert rows_digest(first) == rows_digest(second)
-    pq.write_table(table.slice(1), second)
-    assert rows_digest(first) != rows_digest(second)
+    noted = attach_metadata(table, {"wall_s": 3.0})
+    assert digest(table) == digest(noted, row_group_size=2, compression="gzip")
+    assert digest(table) != digest(table.slice(1))
 
 
 def test_no_file_names_a_place_on_this_machine(release, results):
@@ -386,16 +356,16 @@ def test_camera_file_is_taken_along_wherever_it_lies(tmp_path, place, carried_as
 
 
 def test_folder_of_somebody_else_is_left_alone(results, tmp_path):
-    for name, prepare, problem in (
-        ("folder", lambda out: (out / "data").mkdir(parents=True), "exists and is not a release"),
-        ("file", lambda out: out.write_text("mine"), "exists and is not a release"),
-        ("release", lambda out: (out.mkdir(), (out / SUMS).touch()), "which is not overwritten"),
-    ):
-        prepare(tmp_path / name)
-        before = sorted(tmp_path.rglob("*"))
+    for name in ("folder/data", "release"):
+        (tmp_path / name).mkdir(parents=True)
+    for name in ("file", f"release/{SUMS}"):
+        (tmp_path / name).write_text("mine")
+    before = sorted(tmp_path.rglob("*"))
+    for name in ("folder", "file", "release"):
+        problem = "which is not overwritten" if name == "release" else "exists and is not a release"
         with pytest.raises(BadInput, match=problem):
             write_release(CONFIG, results, tmp_path / name, ROOT)
-        assert sorted(tmp_path.rglob("*")) == before
+    assert sorted(tmp_path.rglob("*")) == before
 
 
 def _remake(path):
@@ -470,8 +440,7 @@ def test_full_disk_leaves_nothing(results, small_disk, monkeypatch, foreseen):
 
 def test_command_says_what_it_wrote(results, tmp_path, capsys):
     out = tmp_path / "release"
-    words = ["--config", str(results / "config.json"), "--results", str(results)]
-    assert main(["release", *words, "--out-dir", str(out)]) == 0
+    assert run(f"release --config {results}/config.json --results {results} --out-dir {out}") == 0
     said = capsys.readouterr().out
     assert "144 videos, 720 images" in said
     assert hashlib.sha256((out / SUMS).read_bytes()).hexdigest() in said

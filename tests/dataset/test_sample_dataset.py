@@ -3,7 +3,9 @@
 import io
 import itertools
 import json
+import shutil
 from collections import Counter
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -11,11 +13,10 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 from support import synthetic_videos as synthetic
-from support.refusal import refused
+from support.refusal import refused, run
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import read_metadata, read_provenance
-from slipstitch.cli.main import main
 from slipstitch.config import resolve_config, write_config
 from slipstitch.config.train import REFLECTIVE
 from slipstitch.dataset.dataset import write_dataset
@@ -44,10 +45,7 @@ def rendered(config, tmp_path_factory):
 @pytest.fixture
 def shards(rendered, tmp_path):
     """Copies that a test may damage."""
-    copies = [tmp_path / path.name for path in rendered]
-    for path, copy in zip(rendered, copies, strict=True):
-        copy.write_bytes(path.read_bytes())
-    return copies
+    return [Path(shutil.copy(path, tmp_path)) for path in rendered]
 
 
 def test_every_video_has_its_frames_labels_and_sides(config, rendered, tmp_path):
@@ -96,19 +94,21 @@ def test_equal_shards_and_seeds_give_equal_datasets(config, rendered, tmp_path):
     first = write_dataset(config, rendered, tmp_path / "a")
     second = write_dataset(config, rendered[::-1], tmp_path / "b")
     assert first == second
-    digests = {
-        read_metadata(tmp_path / name / "manifest.parquet")["dataset_digest"] for name in "ab"
-    }
-    assert len(digests) == 1
+    manifests = [read_metadata(tmp_path / name / "manifest.parquet") for name in "ab"]
+    assert len({one["dataset_digest"] for one in manifests}) == 1
     other = write_dataset(synthetic.config(seed=2), rendered, tmp_path / "c")
     assert [row["split_by_video"] for row in other] != [row["split_by_video"] for row in first]
 
 
+def sampled(folder, **sections):
+    """The rows of a dataset of such a configuration."""
+    config = synthetic.config(**sections)
+    return write_dataset(config, synthetic.write_shards(config, folder), folder / "sample")
+
+
 def test_test_only_textures_and_views_are_marked_and_never_split_for_training(tmp_path):
-    config = synthetic.config(
-        render={"test_textures": ["chevron"], "test_viewpoints": ["calibrated_-15"]}
-    )
-    rows = write_dataset(config, synthetic.write_shards(config, tmp_path / "r"), tmp_path / "s")
+    only = {"test_textures": ["chevron"], "test_viewpoints": ["calibrated_-15"]}
+    rows = sampled(tmp_path, render=only)
     for row in rows:
         only = "test" in (row["texture_role"], row["viewpoint_role"])
         assert only == (row["texture"] == "chevron" or row["viewpoint"] == "calibrated_-15")
@@ -118,8 +118,7 @@ def test_test_only_textures_and_views_are_marked_and_never_split_for_training(tm
 
 
 def test_videos_on_other_floors_have_the_sides_of_the_same_on_their_own(tmp_path):
-    config = synthetic.config(render={"reflective_floors": ["ceramic"]})
-    rows = write_dataset(config, synthetic.write_shards(config, tmp_path / "r"), tmp_path / "s")
+    rows = sampled(tmp_path, render={"reflective_floors": ["ceramic"]})
     key = ("simulation", "texture", "viewpoint")
     own = {tuple(row[k] for k in key): row for row in rows if row["floor_role"] == "train"}
     others = [row for row in rows if row["floor_role"] == "test"]
@@ -132,8 +131,8 @@ def test_videos_on_other_floors_have_the_sides_of_the_same_on_their_own(tmp_path
 
 
 def test_simulations_off_the_grid_and_of_other_fabrics_are_for_testing_only(tmp_path):
-    config = synthetic.config(grid={"test_frictions": [0.35], "test_materials": ["royal-target"]})
-    rows = write_dataset(config, synthetic.write_shards(config, tmp_path / "r"), tmp_path / "s")
+    further = {"test_frictions": [0.35], "test_materials": ["royal-target"]}
+    rows = sampled(tmp_path / "further", grid=further)
     for row in rows:
         roles = (row["material_role"], row["friction_role"])
         assert roles[0] == ("test" if row["material"] == "royal-target" else "train")
@@ -141,17 +140,15 @@ def test_simulations_off_the_grid_and_of_other_fabrics_are_for_testing_only(tmp_
         if "test" in roles:
             assert row["split_by_video"] == row["split_by_simulation"] == "test"
     assert {row["friction_id"] for row in rows if row["friction_role"] == "test"} == {"f0350"}
-    plain = synthetic.config()
-    without = write_dataset(plain, synthetic.write_shards(plain, tmp_path / "r2"), tmp_path / "s2")
     sides = {row["video"]: row["split_by_simulation"] for row in rows}
+    without = sampled(tmp_path / "without")
     assert all(sides[row["video"]] == row["split_by_simulation"] for row in without)
 
 
 def test_more_phases_keep_more_frames_and_the_same_first_ones(config, tmp_path):
-    twice = config.model_copy(update={"sample": config.sample.model_copy(update={"phases": 2})})
-    rows = write_dataset(twice, synthetic.write_shards(twice, tmp_path / "r"), tmp_path / "s")
+    rows = sampled(tmp_path, sample={"frames": 6, "phases": 2})
     assert {row["frames"] for row in rows} == {12}
-    table = pq.read_table(tmp_path / "s" / rows[0]["file"], columns=["video", "frame"])
+    table = pq.read_table(tmp_path / "sample" / rows[0]["file"], columns=["video", "frame"])
     kept = [row["frame"] for row in table.to_pylist() if row["video"] == rows[0]["video"]]
     assert kept[::2] == sampled_frames(config.simulation.frames, config.sample.frames).tolist()
 
@@ -199,15 +196,16 @@ def test_images_of_another_configuration_are_refused(rendered, tmp_path, section
 def test_the_command_says_what_it_wrote_and_of_a_damaged_file_one_line(
     config, shards, tmp_path, capsys
 ):
-    write_config(config, tmp_path / "config.json")
-    words = ["sample", "--config", str(tmp_path / "config.json"), "--out-dir", str(tmp_path / "o")]
-    words += map(str, shards)
-    assert main(words) == 0
+    write_config(config, tmp_path / "c.json")
+    command = (
+        f"sample --config {tmp_path}/c.json --out-dir {tmp_path}/o {' '.join(map(str, shards))}"
+    )
+    assert run(command) == 0
     said = capsys.readouterr().out
     assert "32 videos of 8 simulations, 6 frames each" in said
     assert "by_video: 26 train, 3 validation, 3 test" in said
     shards[0].write_bytes(shards[0].read_bytes()[:500])
-    assert "damaged or not a Parquet file" in refused(capsys, words)
+    assert "damaged or not a Parquet file" in refused(capsys, command)
 
 
 # Which frames and which videos: the choices that labels and honesty hang on
@@ -280,16 +278,12 @@ def test_a_coefficient_that_only_trains_is_never_held_out_and_moves_no_other():
     sample = {"hold_out": "pair", "validation_materials": ["royal-target"]}
 
     def sides(frictions, only):
-        config = resolve_config(
-            {
-                "grid": {"materials": fabrics, "frictions": frictions},
-                "sample": {**sample, "train_only_frictions": only},
-            }
-        )
+        grid = {"materials": fabrics, "frictions": frictions}
+        chosen = {"grid": grid, "sample": sample | {"train_only_frictions": only}}
+        config = resolve_config(chosen)
         held = sides_of_simulations(config)
-        return {
-            (one.material, one.friction, one.replicate): held[one.id] for one in simulations(config)
-        }
+        names = simulations(config)
+        return {(one.material, one.friction, one.replicate): held[one.id] for one in names}
 
     found = sides([0.1, 0.5, 1.0, 1.75], [1.75])
     for (material, friction, _), side in found.items():

@@ -54,6 +54,14 @@ class Forger:
             stored = {"compression": compression, "use_dictionary": labels}
         pq.write_table(pa.Table.from_pylist(rows, schema=table.schema), path, **stored)
 
+    def relabel(self, clip: str, **labels) -> None:
+        """Change the row of a clip in the manifest."""
+
+        def edit(rows):
+            next(row for row in rows if row["video"] == clip).update(labels)
+
+        self.edit_rows("manifest.parquet", edit)
+
     def reseal(self) -> None:
         """Write both lists of digests anew."""
         names = [name for name in files_below(self.release) if name != RELEASE_RECORD]

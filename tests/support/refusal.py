@@ -3,10 +3,16 @@
 from slipstitch.cli.main import main
 
 
-def refused(capture, words, code=2) -> str:
-    """Run a command that must fail, and return the one line that it says on standard error."""
+def run(command: str) -> int:
+    """Run a command, without the name of the program; the exit code."""
+    return main(command.split())
+
+
+def refused(capture, command, code=2) -> str:
+    """Run a command (or its words) that must fail; the one line that it says on standard error."""
     capture.readouterr()
-    assert main([*map(str, words)]) == code
+    words = command.split() if isinstance(command, str) else map(str, command)
+    assert main([*words]) == code
     said = capture.readouterr().err
     assert said.count("\n") == 1, said
     return said
