@@ -33,13 +33,9 @@ def lens_camera(
 ) -> Camera:
     """A camera that sees the whole track from 1.4 m."""
     scale = size[0] / SIZE[0]
-    matrix = np.array(
-        [
-            [focal_px * scale, 0, size[0] / 2 - 4.5],
-            [0, 1.01 * focal_px * scale, size[1] / 2 - 3],
-            [0, 0, 1.0],
-        ]
-    )
+    focal_px *= scale
+    middle = size[0] / 2 - 4.5, size[1] / 2 - 3
+    matrix = np.array([[focal_px, 0, middle[0]], [0, 1.01 * focal_px, middle[1]], [0, 0, 1.0]])
     return Camera(rotation, translation_m, matrix, *size, distortion)
 
 
@@ -49,13 +45,8 @@ LENS = lens_camera(*pose(VIEWPOINTS["calibrated"]))
 
 def protocol(frames: int = 24, sampled: int = 6, pixels: int = 64) -> tuple[Config, Schedule]:
     """A configuration that simulates and samples so many frames, and which of a film are needed."""
-    config = resolve_config(
-        {
-            "simulation": {"frames": frames},
-            "sample": {"frames": sampled},
-            "render": {"pixels": pixels},
-        }
-    )
+    counts = {"simulation": {"frames": frames}, "sample": {"frames": sampled}}
+    config = resolve_config(counts | {"render": {"pixels": pixels}})
     return config, Schedule.of(config.simulation, config.render, config.sample)
 
 

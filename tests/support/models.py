@@ -22,31 +22,19 @@ def untrained_instrument(
     torch.manual_seed(0)
     network = InstrumentNetwork(settings, len(materials), pixels)
     network.eval()
-    card = {
-        "materials": list(materials),
-        "frames": frames,
-        "pixels": pixels,
-        "bfloat16": False,
-        "settings": settings.model_dump(mode="json"),
-        "dataset_digest": None,
-        "seed": 0,
-    }
+    card = {"materials": list(materials), "frames": frames, "pixels": pixels, "bfloat16": False}
+    card |= {"settings": settings.model_dump(mode="json"), "dataset_digest": None, "seed": 0}
     return Instrument((network,), card, None)
 
 
 def train_networks(config: Config, folder: Path, split: str) -> Path:
     """Train the paper's networks on a split of ``sample``; the folder ``train/<split>`` of all."""
     networks = folder / "train" / split
+    material = networks / "material_baseline/seed0"
     for network, _ in trainings(config.train, split):
-        train_network(
-            config.train,
-            Run(folder / "sample", split, 0, networks / network / "seed0"),
-            network,
-            config.render.viewpoints,
-            material_model=networks / "material_baseline/seed0"
-            if network == "friction_conditional"
-            else None,
-        )
+        run = Run(folder / "sample", split, 0, networks / network / "seed0")
+        told = {"material_model": material} if network == "friction_conditional" else {}
+        train_network(config.train, run, network, config.render.viewpoints, **told)
     return networks
 
 

@@ -50,36 +50,26 @@ def config(**sections) -> Config:
         "floors": ["matte", "ceramic", "stainless-steel"],
         "augmentation": {"lamp_m": 0.1, "exposure_stops": 0.5},
     }
-    grid = {
-        "materials": ["gray-interlock", "ivory-rib-knit"],
-        "frictions": [0.1, 0.3, 0.6, 1.0],
-        "replicates": 2,
+    grid = {"materials": ["gray-interlock", "ivory-rib-knit"], "frictions": [0.1, 0.3, 0.6, 1.0]}
+    small = {
+        "grid": grid | {"replicates": 2},
+        "simulation": {"frames": 60, "vertices_per_side": 11},
+        "render": render,
+        "sample": {"frames": 5},
+        "release": {"shard_mb": 0.01},
     }
-    return synthetic_results.config(
-        **{
-            "grid": grid,
-            "simulation": {"frames": 60, "vertices_per_side": 11},
-            "render": render,
-            "sample": {"frames": 5},
-            "release": {"shard_mb": 0.01},
-            **sections,
-        }
-    )
+    return synthetic_results.config(**small | sections)
 
 
-def write(config: Config, folder: Path, chosen: dict | None = None) -> Path:
-    """Write ``results/`` in `folder`, as the workflow does, up to the dataset; return it.
-
-    `chosen`: settings of simulations that the calibration chose instead of the configured ones.
-    """
+def write(config: Config, folder: Path) -> Path:
+    """Write ``results/`` in `folder`, as the workflow does, up to the dataset; return it."""
     results = folder / "results"
     with contextlib.chdir(folder), contextlib.redirect_stderr(sys.stdout):
         here = Path("results")
         write_config(config, here / "config.json")
         write_grid(config, here / "grid.parquet")
-        synthetic_results.write_calibrate(config, here, chosen)
-        told = config.simulation.model_copy(update=chosen or {})
-        _write_simulate(config.model_copy(update={"simulation": told}), here)
+        synthetic_results.write_calibrate(config, here)
+        _write_simulate(config, here)
         shards = _write_render(config, here)
         _write_verification(config, here, shards)
         write_dataset(config, shards, here / "sample")
@@ -92,14 +82,9 @@ def _write_simulate(config: Config, results: Path) -> None:
     for one in simulations(config):
         run = DropAndDrag(one.material, one.friction, one.seed, one.replicate)
         motion = synthetic_cloth.motion(config.simulation.frames, n=11)
-        metadata = {
-            "material": one.material,
-            "friction": one.friction,
-            "seed": one.seed,
+        names = ("material", "friction", "seed", "material_id", "friction_id", "replicate_id")
+        metadata = {name: getattr(one, name) for name in names} | {
             "simulation": one.id,
-            "material_id": one.material_id,
-            "friction_id": one.friction_id,
-            "replicate_id": one.replicate_id,
             "settings": config.simulation.model_dump(mode="json"),
             "perturbation": vars(draw_perturbation(config.simulation, one.seed, one.replicate)),
             "solver": {"steps": 400, "newton_iterations": 1200, "largest_residual": 4.7e-4},

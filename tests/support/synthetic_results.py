@@ -15,7 +15,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from PIL import Image, ImageDraw
 
-from slipstitch.base.provenance import provenance_record, write_json, write_sidecar, write_text
+from slipstitch.base.provenance import provenance_record, write_json, write_text
 from slipstitch.config import Config, resolve_config
 from slipstitch.config.simulation import BASE, KEYS
 from slipstitch.dataset.dataset import write_dataset
@@ -41,24 +41,15 @@ from support import synthetic_cloth, synthetic_videos
 
 def config(**sections) -> Config:
     """2 fabrics, 3 coefficients, 2 replicates at 11 x 11 vertices and 32 pixels."""
-    return resolve_config(
-        {
-            "grid": {
-                "materials": ["gray-interlock", "ivory-rib-knit"],
-                "frictions": [0.1, 0.3, 1.0],
-                "replicates": 2,
-            },
-            "simulation": {"frames": 300},
-            "render": {
-                "pixels": 32,
-                "viewpoints": ["calibrated", "side"],
-                "textures": ["stripes", "tartan"],
-                "test_textures": ["chevron"],
-            },
-            "sample": {"frames": 12},
-            **sections,
-        }
-    )
+    grid = {"materials": ["gray-interlock", "ivory-rib-knit"], "frictions": [0.1, 0.3, 1.0]}
+    looks = {"viewpoints": ["calibrated", "side"], "textures": ["stripes", "tartan"]}
+    small = {
+        "grid": grid | {"replicates": 2},
+        "simulation": {"frames": 300},
+        "render": looks | {"test_textures": ["chevron"], "pixels": 32},
+        "sample": {"frames": 12},
+    }
+    return resolve_config(small | sections)
 
 
 @cache
@@ -101,19 +92,14 @@ def protocol_answer(name, options, settings):
     return found | {key: 1.004 * getattr(drag, key) for key in keys}
 
 
-def write_calibrate(config: Config, folder: Path, chosen: dict | None = None) -> None:
-    """calibrate/calibration.json; `chosen`: settings that it chose instead of the configured."""
+def write_calibrate(config: Config, folder: Path) -> None:
+    """calibrate/calibration.json and pictures."""
     path = folder / "calibrate" / "calibration.json"
     path.parent.mkdir(parents=True)
     result = calibrate(config.simulation, protocol_answer)
     both = config.calibrate, config.simulation
     trials = [trial for key in (BASE, *KEYS) for trial in sweep(key, *both, protocol_answer)]
     result["strip"] = strip_calibration(trials)
-    if chosen:  # the trial with these settings, as if the configured had failed
-        trials = result["strip"]["trials"]
-        tried = next(t for t in trials if t["settings"] == trials[0]["settings"] | chosen)
-        result["strip"]["chosen"] |= {k: v for k, v in tried.items() if k != "runs"}
-    result["settings"] |= chosen or {}
     sections = {"simulation": config.simulation, "calibrate": config.calibrate}
     record = provenance_record("calibrate.calibration", config=sections)
     write_calibration(result, path, record)
@@ -215,10 +201,8 @@ def write_evaluate(config: Config, folder: Path, right=RIGHT, seeds=(0,)) -> Non
     of_networks = {network: {"classes": classes} for network in NETWORKS}
     details = details_of_table(rows, dict.fromkeys(right, of_networks), {})
     out = folder / "evaluate"
-    out.mkdir(parents=True)
-    (out / "metrics.json").write_text(json.dumps(metrics_of_table(rows, {})))
+    write_json(out / "metrics.json", metrics_of_table(rows, {}), provenance_record("evaluate"))
     (out / "details.json").write_text(json.dumps(details))
-    write_sidecar(out / "metrics.json", provenance_record("evaluate"))
     pq.write_table(pa.Table.from_pylist(rows, schema=SCHEMA), out / "predictions.parquet")
 
 
@@ -228,25 +212,19 @@ def captured(friction, **columns) -> list[dict]:
     A column is a list of ten values or one value for all.
     """
     known = {"surrogate": True, "model": "lrcn_conditional", "trained_on": "by_video", "seed": 0}
-    known |= {"low": None, "high": None, "fabrics": [], "alarm": None, "friction": list(friction)}
-    known |= columns
-    return [
-        {
-            "video": f"c{k // 5:02d}_r{k % 5:02d}_t00_v00",
-            "pair": f"c{k // 5:02d}",
-            "material": "denim" if k >= 5 else "felt",
-            "substrate": "glass" if k >= 5 else "wood",
-            "repeat": k % 5,
-            "mu_ref": (0.3, 0.62)[k // 5],
-            "mu_ref_error": 0.02,
-            "reflective": k >= 5,
-        }
-        | {
-            name: of[k] if isinstance(of, list) and len(of) == 10 else of
-            for name, of in known.items()
-        }
-        for k in range(10)
-    ]
+    known |= {"low": None, "high": None, "fabrics": [], "alarm": None, "mu_ref_error": 0.02}
+    known |= columns | {"friction": list(friction)}
+    of_pair = (("felt", "wood", 0.3, False), ("denim", "glass", 0.62, True))
+    rows = []
+    for k, (number, repeat) in enumerate(product(range(2), range(5))):
+        names = ("material", "substrate", "mu_ref", "reflective")
+        row = dict(zip(names, of_pair[number], strict=True))
+        row |= {"pair": f"c{number:02d}", "repeat": repeat}
+        row["video"] = f"{row['pair']}_r{repeat:02d}_t00_v00"
+        for name, of in known.items():
+            row[name] = of[k] if isinstance(of, list) and len(of) == 10 else of
+        rows.append(row)
+    return rows
 
 
 def write_captures(folder: Path, surrogate=True, seeds=(0,), trained_on=None) -> None:
@@ -271,15 +249,9 @@ def write_criticise(config: Config, folder: Path) -> None:
     """criticise/<case>/, as little of it as the report shows."""
     for case in config.criticise.cases:
         out = folder / "criticise" / Path(case).name
-        verdict = {
-            "case": Path(case).name,
-            "about": "Invented.",
-            "verdict": "unknown",
-            "reason": "two shapes are left over",
-            "gain": {},
-            "discrepancy": None,
-            "residual_tests": [{"shape": "a step", "name": "place on the substrate"}],
-        }
+        verdict = {"case": Path(case).name, "about": "Invented.", "verdict": "unknown"}
+        verdict |= {"reason": "two shapes are left over", "gain": {}, "discrepancy": None}
+        verdict["residual_tests"] = [{"shape": "a step", "name": "place on the substrate"}]
         write_json(out / "verdict.json", verdict)
         write_json(out / "resimulation.json", {"reason": "no drop-and-drag runs"})
         write_text(out / "picture.svg", '<svg xmlns="http://www.w3.org/2000/svg"></svg>')
@@ -308,15 +280,13 @@ def write_benchmarks(config: Config, folder: Path) -> None:
     jobs |= {"render": [f"{one.id}_v00" for one in simulations(config)], "sample": ["sample"]}
     jobs |= {"train": ["a", "b", "c"], "evaluate": ["evaluate"]}
     for position, (stage, names) in enumerate(jobs.items()):
-        (folder / "benchmarks" / stage).mkdir(parents=True)
+        row = [20.0 + 9 * position, "0:00:20", 400.0 + 90 * position, 0, 0, 0, 0, 0, 95.0]
+        row.append(18.5 + 9 * position)
         for name in names:
-            row = [20.0 + 9 * position, "0:00:20", 400.0 + 90 * position, 0, 0, 0, 0, 0, 95.0]
-            text = "\t".join(map(str, [*row, 18.5 + 9 * position]))
-            path = folder / "benchmarks" / stage / f"{name}.tsv"
-            path.write_text("\t".join(columns) + "\n" + text + "\n")
-            log = folder / "logs" / stage / f"{name}.log"
-            log.parent.mkdir(parents=True, exist_ok=True)
-            log.write_text(f"{name}: written\nCPU time: {19.5 + 9 * position:.2f} s\n")
+            table = "\n".join("\t".join(map(str, line)) for line in (columns, row))
+            log = f"{name}: written\nCPU time: {19.5 + 9 * position:.2f} s\n"
+            write_text(folder / "benchmarks" / stage / f"{name}.tsv", table + "\n")
+            write_text(folder / "logs" / stage / f"{name}.log", log)
 
 
 def write_all(config: Config, folder: Path) -> None:

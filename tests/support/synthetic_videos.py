@@ -25,27 +25,16 @@ from slipstitch.images.keypoints import KEYPOINTS_UV
 
 def config(**sections) -> Config:
     """A grid of 2 materials, 2 frictions, 2 replicates, 2 textures, 2 views; 6 frames at 16 px."""
+    grid = {"materials": ["gray-interlock", "ivory-rib-knit"], "frictions": [0.1, 0.6]}
+    looks = {"viewpoints": ["calibrated", "side"], "textures": ["stripes", "tartan"]}
+    network = {"channels": [64, 128], "convolutions": [1, 1], "precision": "float32"}
+    budget = {"epochs_per_cycle": 20, "fine_tuning_epochs": 2, "batch_size": 2}
     small = {
-        "grid": {
-            "materials": ["gray-interlock", "ivory-rib-knit"],
-            "frictions": [0.1, 0.6],
-            "replicates": 2,
-        },
+        "grid": grid | {"replicates": 2},
         "simulation": {"frames": 60},
-        "render": {
-            "pixels": 16,
-            "viewpoints": ["calibrated", "side"],
-            "textures": ["stripes", "tartan"],
-        },
+        "render": looks | {"pixels": 16},
         "sample": {"frames": 6},
-        "train": {
-            "channels": [64, 128],
-            "convolutions": [1, 1],
-            "epochs_per_cycle": 20,
-            "fine_tuning_epochs": 2,
-            "batch_size": 2,
-            "precision": "float32",
-        },
+        "train": network | budget,
     }
     return resolve_config(small, sections)
 
@@ -96,17 +85,11 @@ def write_shards(config: Config, folder: Path, marked: bool = False) -> list[Pat
                     phase = frame / total * 4 * np.pi
                     points[str(frame)] = keypoints_m(np.sin(phase), lag, height).ravel()
                     image = draw(config.render.pixels, np.sin(phase), lag, height, t, v)
-                    rows.append(
-                        {
-                            "simulation": one.id,
-                            "texture": texture["id"],
-                            "viewpoint": view["id"],
-                            "frame": frame,
-                            "time_s": frame / 2.4,
-                            "stage_x_m": 0.15 * (1 + np.sin(phase)),
-                            "image": {"bytes": encode_png(image), "path": f"{frame}.png"},
-                        }
-                    )
+                    row = {"simulation": one.id, "texture": texture["id"], "viewpoint": view["id"]}
+                    row |= {"frame": frame, "time_s": frame / 2.4}
+                    row |= {"stage_x_m": 0.15 * (1 + np.sin(phase))}
+                    row["image"] = {"bytes": encode_png(image), "path": f"{frame}.png"}
+                    rows.append(row)
             if not worn:
                 continue
             path = Path(folder) / f"{one.id}_{view['id']}.parquet"
@@ -122,20 +105,18 @@ def write_shards(config: Config, folder: Path, marked: bool = False) -> list[Pat
 
 def write_dataset(config: Config, folder: Path, marked: bool = False) -> Path:
     """Write the shards and the dataset of them, ``folder/sample``."""
-    dataset.write_dataset(
-        config, write_shards(config, folder / "render", marked), folder / "sample"
-    )
+    shards = write_shards(config, folder / "render", marked)
+    dataset.write_dataset(config, shards, folder / "sample")
     return folder / "sample"
 
 
 def images_of(shard: Path) -> dict[tuple[str, int], np.ndarray]:
     """Images of a shard by texture and frame, blue first."""
-    return {
-        (row["texture"], row["frame"]): cv2.imdecode(
-            np.frombuffer(row["image"]["bytes"], np.uint8), cv2.IMREAD_COLOR
-        )
-        for row in pq.read_table(shard).to_pylist()
-    }
+    images = {}
+    for row in pq.read_table(shard).to_pylist():
+        encoded = np.frombuffer(row["image"]["bytes"], np.uint8)
+        images[row["texture"], row["frame"]] = cv2.imdecode(encoded, cv2.IMREAD_COLOR)
+    return images
 
 
 def altered_copy(sample: Path, folder: Path, change, renew_digest: bool = True) -> Path:
