@@ -8,10 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support import analytic_stage as stage
-from support.refusal import refused
+from support.refusal import refused, run
 
 from slipstitch.base.errors import BadInput
-from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.dataset.videos import read_videos
@@ -160,9 +159,8 @@ def test_a_stated_start_is_taken(video):
 
 @pytest.mark.parametrize("start_s", [2.0, 60.0])
 def test_a_stated_start_that_the_frames_contradict_is_refused(video, start_s):
-    with pytest.raises(
-        BadInput, match=rf"seen to start at 3\.1\d s, but {start_s:.2f} s is stated"
-    ):
+    problem = rf"seen to start at 3\.1\d s, but {start_s:.2f} s is stated"
+    with pytest.raises(BadInput, match=problem):
         read_stage_video(video, LENS, SCHEDULE, start_s=start_s)
 
 
@@ -181,10 +179,9 @@ def test_of_two_starts_in_a_film_the_stated_one_counts(tmp_path):
     again_s = 6.0
     rehearsed = np.arange(0, START_S + 3.0, 1 / RATE_HZ)
     dense = np.arange(6.2, again_s + 6.6, 1 / RATE_HZ)
-    both = np.concatenate([rehearsed, dense, np.arange(again_s + 6.6, again_s + 14.0, 0.4)])
-    starts_s = np.where(both < 6.2, START_S, START_S + again_s)
-    shown = (images([one], start_s) for one, start_s in zip(both, starts_s, strict=True))
-    path = stage.write_video(tmp_path / "two.mp4", (next(one) for one in shown), both)
+    filmed = np.concatenate([dense, np.arange(again_s + 6.6, again_s + 14.0, 0.4)])
+    shown = [*images(rehearsed), *images(filmed, START_S + again_s)]
+    path = stage.write_video(tmp_path / "two.mp4", shown, [*rehearsed, *filmed])
     read = read_stage_video(path, LENS, SCHEDULE, start_s=START_S + again_s)
     assert read.notes == []
     with pytest.raises(BadInput, match=r"seen to start at 9\.1\d s, but 8\.00 s is stated"):
@@ -249,16 +246,16 @@ COLUMNS = "video,material,substrate,repeat,mu_ref,mu_ref_error,reflective,camera
 GOOD = "a.mp4,gray-interlock,glass,1,0.31,0.02,no,camera.json"
 
 
-def words_of(folder, *rows, columns=COLUMNS, more=()):
+def command_of(folder, *rows, columns=COLUMNS):
     """The command that ingests a table of these rows."""
     (folder / "captures.csv").write_text("\n".join([columns, *rows]) + "\n")
-    words = ["capture", "ingest", str(folder / "captures.csv"), *more]
-    return [*words, "--config", str(folder / "config.json"), "--out-dir", str(folder / "dataset")]
+    files = f"{folder}/captures.csv --config {folder}/config.json"
+    return f"capture ingest {files} --out-dir {folder}/dataset"
 
 
 def test_captures_become_a_dataset_like_any_other(folder, capsys):
     second = "b.mp4,tweed of our own,glass,1,0.5,0.05,yes,camera.json,3.0"
-    assert main(words_of(folder, GOOD + ",", second, columns=COLUMNS + ",start_s")) == 0
+    assert run(command_of(folder, GOOD + ",", second, columns=COLUMNS + ",start_s")) == 0
     said = capsys.readouterr().out
     assert "c00_r01_t00_v00: gray-interlock on glass, repeat 1; the stage starts at 3.1" in said
     assert "2 videos of 2 pairs" in said
@@ -273,11 +270,10 @@ def test_captures_become_a_dataset_like_any_other(folder, capsys):
 
 
 def test_reference_values_fill_empty_cells(folder):
-    (folder / "reference.csv").write_text(
-        "material,substrate,mu,error\ngray-interlock,glass,0.33,0.015\n"
-    )
-    row = "a.mp4,gray-interlock,glass,1,,,no,camera.json"
-    assert main(words_of(folder, row, more=["--reference", str(folder / "reference.csv")])) == 0
+    reference = "material,substrate,mu,error\ngray-interlock,glass,0.33,0.015\n"
+    (folder / "reference.csv").write_text(reference)
+    command = command_of(folder, "a.mp4,gray-interlock,glass,1,,,no,camera.json")
+    assert run(f"{command} --reference {folder}/reference.csv") == 0
     assert read_known(folder / "dataset")[0]["mu_ref"] == 0.33
 
 
@@ -314,7 +310,7 @@ def test_a_wrong_table_is_one_line(folder, tmp_path_factory, capsys, rows, probl
     outside = tmp_path_factory.mktemp("outside") / "secret.mp4"
     outside.write_bytes(b"\0")
     (folder / "link.mp4").symlink_to(outside)
-    assert problem in refused(capsys, words_of(folder, *rows))
+    assert problem in refused(capsys, command_of(folder, *rows))
     assert not (folder / "dataset").exists()
 
 
@@ -328,7 +324,7 @@ def test_a_wrong_table_is_one_line(folder, tmp_path_factory, capsys, rows, probl
 )
 def test_wrong_columns_are_one_line(folder, capsys, columns, problem):
     row = ",".join(GOOD.split(",")[: columns.count(",") + 1])
-    assert problem in refused(capsys, words_of(folder, row, columns=columns))
+    assert problem in refused(capsys, command_of(folder, row, columns=columns))
 
 
 STILL = "no start of the stage's motion found"
@@ -374,5 +370,5 @@ def test_a_bad_video_is_one_line(folder, capfd, content, problem):
     path = folder / "a.mp4"
     path.unlink()
     path.write_bytes(content) if isinstance(content, bytes) else content(path)
-    said = refused(capfd, words_of(folder, GOOD))
+    said = refused(capfd, command_of(folder, GOOD))
     assert "a.mp4: " in said and problem in said

@@ -154,10 +154,8 @@ def test_the_stage_is_read_alike_from_some_frames_and_from_all(film, monkeypatch
     np.testing.assert_array_equal(some.frames, whole.frames)
     np.testing.assert_array_equal(some.time_s, whole.time_s)
     assert some.longest_gap_s == whole.longest_gap_s
-    assert whole.time_base is not None
-    assert some.time_base.rate == pytest.approx(
-        whole.time_base.rate, abs=2 * some.time_base.rate_sd
-    )
+    sd = some.time_base.rate_sd
+    assert some.time_base.rate == pytest.approx(whole.time_base.rate, abs=2 * sd)
 
 
 @pytest.mark.slow
@@ -196,13 +194,9 @@ def film_at(rate_hz):
     """Times and noisy images of a film."""
     bench, noise = stage.Bench(LENS), np.random.default_rng(0)
     times_s = np.arange(0, LENGTH_S, 1 / rate_hz)
-    images = [
-        np.clip(
-            bench.image(time_s - FILM_START_S) + noise.normal(0, 3, (*bench.shape, 3)), 0, 255
-        ).astype(np.uint8)
-        for time_s in times_s
-    ]
-    return times_s, images
+    clean = (bench.image(time_s - FILM_START_S) for time_s in times_s)
+    noisy = (image + noise.normal(0, 3, (*bench.shape, 3)) for image in clean)
+    return times_s, [np.clip(image, 0, 255).astype(np.uint8) for image in noisy]
 
 
 def said_of(path, **options):
@@ -228,7 +222,6 @@ def test_slow_motion_is_named_with_the_rate_that_helps(tmp_path, rate_hz, slowed
     ("rate_hz", "again_s", "message"),
     [
         (12.5, None, r"its timestamps step back by 7\.\d+ s after 7\."),
-        (25.0, None, r"its timestamps step back by 7\.\d+ s after 7\."),
         (25.0, 0.5, r"its timestamps step back by 0\.4\d s after 7\."),
     ],
 )
@@ -255,7 +248,6 @@ def test_joined_parts_whose_times_overlap_are_refused_and_a_stated_rate_is_read(
     ("rate_hz", "clock", "message"),
     [
         (12.5, lambda s: np.round(s, 1), "have the timestamp of the frame before: the clock is"),
-        (25.0, lambda s: np.round(s, 1), "have the timestamp of the frame before: the clock is"),
         (25.0, lambda s: np.round(s), "have the timestamp of the frame before: the clock is"),
         (12.5, lambda s: 1e3 * s, "0.0125 frames a second by its timestamps, as in milliseconds"),
     ],

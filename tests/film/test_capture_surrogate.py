@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from support.refusal import refused
+from support.refusal import refused, run
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import read_sidecar
-from slipstitch.cli.main import main
 from slipstitch.config import resolve_config, write_config
 from slipstitch.dataset.videos import read_videos
 from slipstitch.design.stage_path import StagePath
@@ -83,17 +82,15 @@ def test_the_table_calls_every_film_a_surrogate(tmp_path):
     write_bench(CONFIG, tmp_path)
     for k, film in enumerate(films(CONFIG)):
         (tmp_path / f"{film.id}.mp4").write_bytes(bytes([k]))
-    (tmp_path / "reference.csv").write_text(
-        "material,substrate,mu,error\n"
-        + "".join(f"{one.material},{one.substrate},0.4,0.02\n" for one in CONFIG.captures.pairs)
-    )
+    pairs = [f"{one.material},{one.substrate},0.4,0.02\n" for one in CONFIG.captures.pairs]
+    reference = "".join(["material,substrate,mu,error\n", *pairs])
+    (tmp_path / "reference.csv").write_text(reference)
     captures = read_captures(tmp_path / "captures.csv", tmp_path / "reference.csv")
     assert [one.id for one in captures] == [film.id for film in films(CONFIG)]
     assert all(one.surrogate for one in captures)
     substrates = {one.substrate: one.reflective for one in captures}
-    assert substrates == dict.fromkeys(("matte", "ceramic", "smooth-glass"), False) | {
-        "aluminium": True
-    }
+    dull = dict.fromkeys(("matte", "ceramic", "smooth-glass"), False)
+    assert substrates == dull | {"aluminium": True}
     mixed = (tmp_path / "captures.csv").read_text().replace("yes", "no", 1)  # the first is matte
     (tmp_path / "mixed.csv").write_text(mixed)
     with pytest.raises(BadInput, match="must not mix surrogate and real captures"):
@@ -117,33 +114,30 @@ def test_impossible_pairs_are_refused(pairs, problem):
 
 
 @pytest.mark.slow
-def test_a_tiny_film_goes_through_the_same_files_as_a_real_one(tmp_path, capsys):
+def test_a_tiny_film_goes_through_the_same_files_as_a_real_one(tmp_path, capsys, monkeypatch):
     """Simulated, rendered, distorted, compressed; then found, rectified and cropped."""
+    tiny = {"repeats": 1, "vertices_per_side": 9, "time_step_s": 0.084, "width_px": 128}
+    pair = {"material": "royal-target", "substrate": "matte", "friction": 0.45}
     config = resolve_config(
         {
             "simulation": {"frames": 9, "self_contact": False},
             "sample": {"frames": 3},
             "render": {"pixels": 32},
-            "captures": {
-                "pairs": [{"material": "royal-target", "substrate": "matte", "friction": 0.45}],
-                "repeats": 1,
-                "vertices_per_side": 9,
-                "time_step_s": 0.084,
-                "width_px": 128,
-            },
+            "captures": {"pairs": [pair], **tiny},
         }
     )
     write_config(config, tmp_path / "config.json")
-    words = ["--config", str(tmp_path / "config.json")]
-    assert main(["capture", "surrogate", *words, "--bench", str(tmp_path)]) == 0
+    monkeypatch.chdir(tmp_path)
+    for command in (
+        "surrogate --config config.json --bench .",
+        "surrogate --config config.json --film c00_r01 --out c00_r01.mp4",
+        "reference slip_angles.csv --out reference.csv",
+        "ingest captures.csv --reference reference.csv --config config.json --out-dir set",
+    ):
+        assert run(f"capture {command}") == 0
     film = tmp_path / "c00_r01.mp4"
-    assert main(["capture", "surrogate", *words, "--film", film.stem, "--out", str(film)]) == 0
     assert read_sidecar(film)["surrogate"] is True
     assert b"surrogate capture" in film.read_bytes()
-    angles, reference = tmp_path / "slip_angles.csv", tmp_path / "reference.csv"
-    assert main(["capture", "reference", str(angles), "--out", str(reference)]) == 0
-    table = [str(tmp_path / "captures.csv"), "--reference", str(reference)]
-    assert main(["capture", "ingest", *table, *words, "--out-dir", str(tmp_path / "set")]) == 0
     (known,) = read_known(tmp_path / "set")
     assert known["surrogate"] and known["start_found"]
     assert known["start_s"] == pytest.approx(40 / 12, abs=0.04)
@@ -155,7 +149,5 @@ def test_a_tiny_film_goes_through_the_same_files_as_a_real_one(tmp_path, capsys)
 
 def test_an_unknown_film_is_one_line(tmp_path, capsys):
     write_config(CONFIG, tmp_path / "config.json")
-    words = ["--config", str(tmp_path / "config.json"), "--film", "c09_r01", "--out", "x.mp4"]
-    assert "unknown surrogate capture 'c09_r01'" in refused(
-        capsys, ["capture", "surrogate", *words]
-    )
+    command = f"capture surrogate --config {tmp_path}/config.json --film c09_r01 --out x.mp4"
+    assert "unknown surrogate capture 'c09_r01'" in refused(capsys, command)

@@ -8,15 +8,12 @@ import pytest
 from support import analytic_stage as stage
 from support import synthetic_videos
 from support.models import train_networks, untrained_instrument
-from support.refusal import refused
+from support.refusal import refused, run
 from support.synthetic_results import captured
 
 from slipstitch.base.errors import BadInput
-from slipstitch.base.provenance import read_provenance
-from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.config.catalogue import VIEWPOINTS
-from slipstitch.config.train import TrainSettings
 from slipstitch.film.captures_evaluation import write_captures_evaluation
 from slipstitch.film.captures_scores import capture_scores, distance, subsets
 from slipstitch.images.camera import pose
@@ -126,22 +123,19 @@ def ingested(bench, kind):
         f"{('no', 'yes')[k // 2]},camera.json,0.5,{'yes' if kind == 'surrogates' else 'no'}"
         for k in range(4)
     ]
-    table = bench / f"{kind}.csv"
-    table.write_text("\n".join([columns + ",surrogate", *rows]) + "\n")
-    config = ["--config", str(bench / "config.json")]
-    assert main(["capture", "ingest", str(table), *config, "--out-dir", str(dataset)]) == 0
+    (bench / f"{kind}.csv").write_text("\n".join([columns + ",surrogate", *rows]) + "\n")
+    ingest = f"capture ingest {bench}/{kind}.csv --config {bench}/config.json --out-dir {dataset}"
+    assert run(ingest) == 0
     return dataset
 
 
 def evaluation_of(bench, kind):
     """Evaluate such a dataset; the folder of the results."""
     dataset, out = ingested(bench, kind), bench / f"{kind}_out"
-    files = {key: str(out / f"{key}.{end}") for key, end in
-             (("out", "json"), ("predictions", "parquet"), ("page", "html"))}  # fmt: skip
-    words = ["--models", str(bench / "train"), "--instruments", str(bench / "instrument")]
-    words += [word for key, path in files.items() for word in (f"--{key}", path)]
-    words += ["--config", str(bench / "config.json"), "--dataset", str(dataset)]
-    assert main(["evaluate", "--captures", *words]) == 0
+    command = f"evaluate --captures --config {bench}/config.json --dataset {dataset}"
+    models = f"--models {bench}/train --instruments {bench}/instrument"
+    files = f"--out {out}/out.json --predictions {out}/predictions.parquet --page {out}/page.html"
+    assert run(f"{command} {models} {files}") == 0
     return out
 
 
@@ -151,11 +145,8 @@ def test_captures_go_through_all_networks(bench, capsys):
     assert "surrogate_reflective   lrcn_conditional, trained by_video" in said
     metrics = json.loads((out / "out.json").read_text())
     assert list(metrics) == ["surrogate_all", "surrogate_matte", "surrogate_reflective"]
-    assert list(metrics["surrogate_all"]) == [
-        "lrcn_baseline, trained by_video",
-        "lrcn_conditional, trained by_video",
-        "instrument, trained by_simulation",
-    ]
+    networks = [f"lrcn_{kind}, trained by_video" for kind in ("baseline", "conditional")]
+    assert list(metrics["surrogate_all"]) == [*networks, "instrument, trained by_simulation"]
     # The films are copies of one: repeats agree, whatever the networks say.
     for row in metrics["surrogate_all"].values():
         assert (row["n"], row["pairs"], row["equal_predictions"]) == (4, 2, 1.0)
@@ -173,38 +164,14 @@ def test_captures_go_through_all_networks(bench, capsys):
     assert all(f"{share} %" in page for share in (61.9, 76.2, 86.1, 93.6))
 
 
-def evaluated(bench, out, instruments, **which):
-    return write_captures_evaluation(
-        ingested(bench, "surrogates"),
-        Trained(bench / "train", instruments, **which),
-        out / "metrics.json",
-        out / "predictions.parquet",
-    )
-
-
-@pytest.mark.slow
-def test_models_of_an_earlier_configuration_do_not_count(bench, tmp_path, monkeypatch):
-    monkeypatch.chdir(bench)  # records name files by their path from the working folder
-    train = TrainSettings(splits=["by_video"])
-    metrics = evaluated(bench, tmp_path, bench / "instrument", train=train)
-    assert list(metrics["surrogate_all"]) == [
-        "lrcn_baseline, trained by_video",
-        "lrcn_conditional, trained by_video",
-    ]
-    inputs = read_provenance(tmp_path / "metrics.json")["inputs"]
-    assert sum(name.endswith("model.safetensors") for name in inputs) == 3
-    assert not any("instrument" in name for name in inputs)
-    of_seed = evaluated(bench, tmp_path, bench / "instrument", instrument_seeds=[1])
-    assert list(of_seed["surrogate_all"]) == list(metrics["surrogate_all"])
-
-
 def test_models_of_different_datasets_do_not_stand_beside_one_another(bench, tmp_path):
     other = untrained_instrument()
     other.card.update(split="by_simulation", dataset_digest="00" * 32)
     save_instrument(other, tmp_path / "by_simulation" / "seed0")
+    found, out = Trained(bench / "train", tmp_path), tmp_path / "metrics.json"
     with pytest.raises(BadInput, match="seed 0 were trained on different datasets"):
-        evaluated(bench, tmp_path, tmp_path)
-    assert not (tmp_path / "metrics.json").exists()
+        write_captures_evaluation(ingested(bench, "surrogates"), found, out, tmp_path / "p.parquet")
+    assert not out.exists()
 
 
 def test_surrogates_are_named_so_and_real_ones_so(bench):
@@ -216,13 +183,12 @@ def test_surrogates_are_named_so_and_real_ones_so(bench):
 @pytest.mark.parametrize(
     ("words", "problem"),
     [
-        ([], "--models, --instruments or both are required"),
-        (["--instruments", "."], ".: no trained model for captures found"),
-        (["--models", "nowhere"], "nowhere: no models found"),
+        ("", "--models, --instruments or both are required"),
+        ("--instruments .", ".: no trained model for captures found"),
+        ("--models nowhere", "nowhere: no models found"),
     ],
 )
 def test_bad_use_is_one_line(bench, capsys, words, problem):
-    dataset = ingested(bench, "surrogates")
-    files = ["--dataset", str(dataset), "--out", "x.json", "--predictions", "x.parquet"]
-    config = ["--config", str(bench / "config.json")]
-    assert problem in refused(capsys, ["evaluate", "--captures", *config, *files, *words])
+    command = f"evaluate --captures --config {bench}/config.json"
+    files = f"--dataset {ingested(bench, 'surrogates')} --out x.json --predictions x.parquet"
+    assert problem in refused(capsys, f"{command} {files} {words}")

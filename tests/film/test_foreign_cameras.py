@@ -6,10 +6,10 @@ import cv2
 import numpy as np
 import pytest
 from support.board_photographs import TEXELS, board_image
+from support.refusal import refused, run
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance.files import read_json
-from slipstitch.cli.main import main
 from slipstitch.film.board import Board, read_views
 from slipstitch.film.measure import EXAMPLE_CAMERA
 from slipstitch.images.camera_file import read_camera_file, read_foreign_lens
@@ -77,7 +77,7 @@ def test_a_lens_is_read_whoever_wrote_it(tmp_path, size, write):
     with pytest.raises(BadInput, match=r"of another program.*capture camera --from"):
         read_camera_file(path)
     out = tmp_path / "out.json"
-    assert main(["capture", "camera", "--from", str(path), "--out", str(out)]) == 0
+    assert run(f"capture camera --from {path} --out {out}") == 0
     assert json.loads(out.read_text())["principal_point_px"] == lens_of(size)[:2, 2].tolist()
     with pytest.raises(BadInput, match="does not contain the position of the camera"):
         read_camera_file(out)
@@ -157,10 +157,9 @@ def photographs(folder, squares, square_m=0.02, count=8, distance=1.0, **kind):
 )
 def test_a_charuco_board_of_either_pattern_is_found(tmp_path, squares, is_legacy):
     paths = photographs(tmp_path, squares, is_legacy=is_legacy)
-    words = ["--board", "charuco", "--squares", f"{squares[0]}x{squares[1]}", "--square-mm", "20"]
+    board = f"--board charuco --squares {squares[0]}x{squares[1]} --square-mm 20 --marker-mm 15"
     out = tmp_path / "camera.json"
-    words += ["--marker-mm", "15", "--out", str(out)]
-    assert main(["capture", "camera", *map(str, paths), *words]) == 0
+    assert run(f"capture camera {' '.join(map(str, paths))} {board} --out {out}") == 0
     assert json.loads(out.read_text())["focal_px"] == pytest.approx([900, 905], rel=0.01)
 
 
@@ -193,9 +192,8 @@ def test_a_square_in_another_unit_is_refused_where_the_camera_is_placed(
     tmp_path, square_mm, capsys
 ):
     paths = photographs(tmp_path, (9, 6), dictionary=None, distance=2.5)
-    words = ["--squares", "9x6", "--stage-view", str(paths[0]), "--out", str(tmp_path / "a.json")]
-    words = ["capture", "camera", *map(str, paths), "--place-mm", "60", "60", *words]
-    assert main([*words, "--square-mm", "20"]) == 0
-    assert main([*words, "--square-mm", f"{square_mm:g}"]) == 2
-    said = capsys.readouterr().err
+    command = f"capture camera {' '.join(map(str, paths))} --squares 9x6 --stage-view {paths[0]}"
+    command += f" --place-mm 60 60 --out {tmp_path}/a.json --square-mm"
+    assert run(f"{command} 20") == 0
+    said = refused(capsys, f"{command} {square_mm:g}")
     assert f"are the squares {square_mm:g} mm (--square-mm)?" in said

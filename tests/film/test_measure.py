@@ -13,9 +13,8 @@ import torch
 from scipy.special import ndtr
 from support import analytic_stage as stage
 from support.models import untrained_instrument
-from support.refusal import refused
+from support.refusal import refused, run
 
-from slipstitch.cli.main import main
 from slipstitch.cli.measure import ALARM_EXIT_CODE
 from slipstitch.config import write_config
 from slipstitch.design.stage_path import StagePath
@@ -27,7 +26,6 @@ from slipstitch.learning.instrument.distribution import friction_grid, probabili
 from slipstitch.learning.instrument.measuring import ErrorBars, save_instrument
 from slipstitch.learning.instrument.network import RECURRENT_UNITS
 
-PATH = StagePath()
 START_S = 3.1
 LENS = stage.LENS
 CONFIG, _ = stage.protocol()
@@ -56,19 +54,23 @@ def another(bench, path):
     return path
 
 
-def words_of(bench, *words):
-    files = [str(bench / "video.mp4"), "--camera", str(bench / "camera.json")]
-    model = ["--model", str(bench / "results" / "instrument" / "seed0")]
-    return ["measure", *files, *model, "--threads", "1", *words]
+def command_of(bench, words):
+    files = f"{bench}/video.mp4 --camera {bench}/camera.json"
+    return f"measure {files} --model {bench}/results/instrument/seed0 --threads 1 {words}"
 
 
-def measure(bench, *words):
-    return main(words_of(bench, *words))
+def measure(bench, words):
+    return run(command_of(bench, words))
+
+
+def outputs(folder):
+    """The options for a page, a table and numbers: x.html, x.csv, x.json."""
+    return f"--out {folder}/x.html --csv {folder}/x.csv --json {folder}/x.json"
 
 
 def test_result_numbers_and_page(bench, capsys):
     page, numbers = bench / "page.html", bench / "numbers.json"
-    assert measure(bench, "--out", str(page), "--json", str(numbers)) == ALARM_EXIT_CODE == 3
+    assert measure(bench, f"--out {page} --json {numbers}") == ALARM_EXIT_CODE == 3
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("friction ")
     assert said[0].endswith(", no error bar: calibrated on 0 simulations; 9 are needed")
@@ -85,7 +87,7 @@ def test_result_numbers_and_page(bench, capsys):
     assert "No error bar: calibrated on 0 simulations; 9 are needed." in content
     assert told["uncertainty"] is None and "±" not in content.split("<h2>")[0]
     assert f"{told['friction_coefficient']:.3f}" in content
-    assert measure(bench, "--start-s", "3.0", "--json", str(numbers)) == ALARM_EXIT_CODE
+    assert measure(bench, f"--start-s 3.0 --json {numbers}") == ALARM_EXIT_CODE
     stated = json.loads(numbers.read_text())
     assert stated["stage_start_s"] == 3.0 and not stated["stage_start_found"]
 
@@ -95,15 +97,14 @@ def test_the_page_shows_where_the_instrument_sees_the_cloth(bench):
     write_config(CONFIG, bench / "points" / "config.json")
     instrument = untrained_instrument(64, points_weight=1.0, through_points=True)
     # Says of every frame: a point 5 cm below the clamps, 9 times.
-    instrument.networks[0].points_mean_m.copy_(torch.tensor([0.0, 0.0, PATH.start_height_m - 0.05]))
+    place_m = [0.0, 0.0, StagePath().start_height_m - 0.05]
+    instrument.networks[0].points_mean_m.copy_(torch.tensor(place_m))
     instrument.networks[0].points_spread_m.fill_(1e-9)
     save_instrument(instrument, model)
     measuring = measuring_bench(bench / "camera.json", model)
     result = measuring.measure(bench / "video.mp4")
     assert result.keypoints_px.shape == (6, 9, 2)
-    expected = measuring.schedule.crop(0.0).project(
-        np.array([[0.0, 0.0, PATH.start_height_m - 0.05]])
-    )
+    expected = measuring.schedule.crop(0.0).project(np.array([place_m]))
     np.testing.assert_allclose(result.keypoints_px[0], np.repeat(expected, 9, axis=0), atol=0.2)
     content = measurement_page(result)
     assert "Rings: where the instrument sees nine points" in content
@@ -123,21 +124,20 @@ def test_the_error_bar_of_a_distribution_at_the_end_of_the_grid_is_not_zero():
 @pytest.mark.parametrize(
     ("words", "problem"),
     [
-        (["--start-s", "-1"], "--start-s -1: must be at least 0"),
-        (["--start-s", "9"], "the stage is seen to start at 3.1"),
-        (["--camera", "no.json"], "no.json: no such file"),
-        (["--model", "nowhere"], "nowhere"),
-        (["--config", "nowhere.json"], "nowhere.json: cannot be read"),
-        (["--config", "{bench}/other.json"], "sample.frames is 4, the instrument"),
-        (["--json", "{bench}/./camera.json"], "camera.json: the command reads this file"),
-        (["{bench}/link.mp4"], "link.mp4: given twice; each video counts once"),
-        (["{bench}/copy.mp4"], "/video.mp4; each video counts once"),
+        ("--start-s -1", "--start-s -1: must be at least 0"),
+        ("--start-s 9", "the stage is seen to start at 3.1"),
+        ("--camera no.json", "no.json: no such file"),
+        ("--model nowhere", "nowhere"),
+        ("--config nowhere.json", "nowhere.json: cannot be read"),
+        ("--config {bench}/other.json", "sample.frames is 4, the instrument"),
+        ("--json {bench}/./camera.json", "camera.json: the command reads this file"),
+        ("{bench}/link.mp4", "link.mp4: given twice; each video counts once"),
+        ("{bench}/copy.mp4", "/video.mp4; each video counts once"),
     ],
 )
 def test_bad_input_is_one_line(bench, capsys, words, problem):
     before = (bench / "camera.json").read_bytes()
-    words = [word.format(bench=bench) for word in words]
-    assert problem in refused(capsys, words_of(bench, *words))
+    assert problem in refused(capsys, command_of(bench, words.format(bench=bench)))
     assert (bench / "camera.json").read_bytes() == before
 
 
@@ -147,10 +147,8 @@ def test_repeats_of_a_pair_are_measured_one_by_one_and_together(bench, tmp_path,
     missing = tmp_path / "missing.mp4"
     (tmp_path / "again").mkdir()
     again = another(bench, tmp_path / "again" / "video.mp4")
-    files = [str(again), str(damaged), str(missing)]
-    out = [f"--{kind}={tmp_path / 'x'}.{kind}" for kind in ("json", "csv")]
-    out.append(f"--out={tmp_path / 'x.html'}")
-    assert measure(bench, *files, *out) == 2  # two could not be measured
+    # Two cannot be measured.
+    assert measure(bench, f"{again} {damaged} {missing} {outputs(tmp_path)}") == 2
     said = capsys.readouterr().out
     # As much of each path as tells the films from one another.
     assert f"\n{bench.name}/video.mp4: friction " in f"\n{said}"
@@ -162,12 +160,9 @@ def test_repeats_of_a_pair_are_measured_one_by_one_and_together(bench, tmp_path,
     assert len(told["videos"]) == 2 and len(told["refused"]) == 2
     assert told["combined"] is None
     rows = list(csv.DictReader((tmp_path / "x.csv").read_text().splitlines()))
-    assert [row["video"] for row in rows] == [
-        f"{bench.name}/video.mp4",
-        "again/video.mp4",
-        f"{tmp_path.name}/damaged.mp4",
-        f"{tmp_path.name}/missing.mp4",
-    ]
+    bad = [f"{tmp_path.name}/{name}.mp4" for name in ("damaged", "missing")]
+    names = [f"{bench.name}/video.mp4", "again/video.mp4", *bad]
+    assert [row["video"] for row in rows] == names
     assert rows[2]["friction_coefficient"] == ""
     assert rows[2]["notes"].startswith(f"not measured: {damaged}: a text file")
     content = (tmp_path / "x.html").read_text()
@@ -185,10 +180,8 @@ def test_repeats_have_no_combined_interval_where_the_instrument_has_no_error_bar
     bars = ErrorBars(1.0, 1.0, np.inf, calm)
     save_instrument(replace(instrument, error_bars=bars), tmp_path / "model")
     write_config(CONFIG, tmp_path / "config.json")
-    again = another(bench, tmp_path / "price $5_$6_.mp4")
-    out = [f"--{kind}={tmp_path / 'x'}.{kind}" for kind in ("json", "csv")]
-    out += [f"--out={tmp_path / 'x.html'}", "--model", str(tmp_path / "model")]
-    assert measure(bench, str(again), *out) == 0
+    again = another(bench, tmp_path / "price$5_$6_.mp4")
+    assert measure(bench, f"{again} {outputs(tmp_path)} --model {tmp_path}/model") == 0
     why = "no error bar: calibrated on 4 simulations; 9 are needed"
     last = capsys.readouterr().out.splitlines()[-1]
     assert last.startswith("combined (2 of 2 videos): friction 0.") and why in last
@@ -199,7 +192,7 @@ def test_repeats_have_no_combined_interval_where_the_instrument_has_no_error_bar
     for row in (*rows, combined):
         assert (row["interval_90_low"], row["interval_90_high"], row["notes"]) == ("", "", why)
     content = (tmp_path / "x.html").read_text()
-    assert "<!-- price $5_$6_.mp4 -->" in content  # in the figure, as it is
+    assert "<!-- price$5_$6_.mp4 -->" in content  # in the figure, as it is
     assert f"N{why[1:]}, from 2 of 2 videos" in content
     assert "0.000 … " not in content
 
@@ -209,7 +202,7 @@ def test_a_result_that_cannot_be_written_is_not_lost(bench, tmp_path, capsys, mo
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("slipstitch.film.measure.measurement_files.write_json", full)
-    assert measure(bench, "--json", str(tmp_path / "x.json")) == 1
+    assert measure(bench, f"--json {tmp_path}/x.json") == 1
     told = capsys.readouterr()
     assert told.out.startswith("friction 0.")
     assert "no space left on the disk" in told.err

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from support import analytic_stage as stage
 from support.models import untrained_instrument
-from support.refusal import refused
+from support.refusal import refused, run
 
 from slipstitch.base.provenance import read_sidecar
-from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.config.catalogue import Viewpoint
 from slipstitch.film.measure.camera_check import check_camera, check_figure
@@ -50,19 +49,19 @@ def bench(tmp_path_factory):
     return folder
 
 
-def measure_words(bench, name, *more):
-    camera, model = bench / f"{name}.json", bench / "instrument"
-    return ["measure", bench / "no.mp4", "--camera", camera, "--model", model, *more]
+def measure(bench, name, words=""):
+    """The command that measures with such a camera a film that is not there."""
+    files = f"{bench}/no.mp4 --camera {bench}/{name}.json --model {bench}/instrument"
+    return f"measure {files} {words}"
 
 
-def check(bench, name, *words):
-    model = ["--model", str(bench / "instrument")]
-    return main(["capture", "check", str(bench / f"{name}.json"), *model, *words])
+def check(bench, name, words=""):
+    return run(f"capture check {bench}/{name}.json --model {bench}/instrument {words}")
 
 
 def test_a_camera_inside_the_family_is_told_so_and_drawn_with_its_record(bench, capsys):
     picture = bench / "new" / "check.png"
-    assert check(bench, "inside", "--picture", str(picture)) == 0
+    assert check(bench, "inside", f"--picture {picture}") == 0
     said = capsys.readouterr().out
     assert "rotation about the vertical +12 degrees (trained on -15 ... +15)" in said
     assert "sees 100 % of the crop, at the worst time of the protocol" in said
@@ -101,9 +100,9 @@ def test_a_measurement_by_force_knows_where_its_camera_is_outside(bench):
 def test_a_camera_outside_is_named_and_not_measured_with(bench, capsys, name, problem):
     assert check(bench, name) == 3
     assert problem in capsys.readouterr().out
-    said = refused(capsys, measure_words(bench, name))
+    said = refused(capsys, measure(bench, name))
     assert problem in said and "--force measures anyway" in said
-    assert "no.mp4: no such file" in refused(capsys, measure_words(bench, name, "--force"))
+    assert "no.mp4: no such file" in refused(capsys, measure(bench, name, "--force"))
 
 
 @pytest.mark.filterwarnings("error")
@@ -122,7 +121,7 @@ def test_a_camera_that_does_not_see_the_track_is_told_so_before_any_film_is_read
     assert check(bench, name) == 3
     told = capsys.readouterr().out
     assert "OUTSIDE" in told and problem in told
-    said = refused(capsys, measure_words(bench, name, "--force"))
+    said = refused(capsys, measure(bench, name, "--force"))
     assert problem in said and "no.mp4" not in said
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.refusal import refused
+from support.refusal import refused, run
 
 from slipstitch.base.errors import BadInput
 from slipstitch.cli.main import main
@@ -84,15 +84,15 @@ def test_another_unit_and_no_error_are_refused(height_mm, error_mm, says):
 
 
 def test_the_command_refuses_what_it_cannot_use(tmp_path, capsys):
-    words = ["measure", "--example", "--clamp-height-error-mm", "0.2"]
-    assert "give --clamp-height-mm with it" in refused(capsys, words)
-    words = ["measure", "--example", "--clamp-height-mm", "151", "--model", str(tmp_path)]
-    assert "cannot be combined with --model" in refused(capsys, words)
+    said = refused(capsys, "measure --example --clamp-height-error-mm 0.2")
+    assert "give --clamp-height-mm with it" in said
+    said = refused(capsys, f"measure --example --clamp-height-mm 151 --model {tmp_path}")
+    assert "cannot be combined with --model" in said
 
 
 def test_the_result_says_what_was_told_and_what_it_does(tmp_path, capsys):
-    files = ["--out", str(tmp_path / "page.html"), "--json", str(tmp_path / "numbers.json")]
-    assert main(["measure", "--example", "--clamp-height-mm", "150.5", *files]) == 0
+    files = f"--out {tmp_path}/page.html --json {tmp_path}/numbers.json"
+    assert run(f"measure --example --clamp-height-mm 150.5 {files}") == 0
     told = "clamps at 150.5 ± 0.2 mm, told, +0.5 mm from the protocol: the reading"
     assert f"note: {told}" in capsys.readouterr().out
     page = (tmp_path / "page.html").read_text()
