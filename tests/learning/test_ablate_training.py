@@ -4,11 +4,10 @@ import json
 
 import pytest
 from support import synthetic_videos
-from support.refusal import refused
+from support.refusal import refused, run
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import read_sidecar
-from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.config.ablate import VARIANTS
 from slipstitch.learning.ablation.questions import QUESTIONS
@@ -82,6 +81,8 @@ def test_conditions_are_none_predicted_and_true(dataset, tmp_path):
     assert cards["none"]["network"] == "friction_baseline"
     assert cards["predicted"]["condition_sha256"] == material["weights_sha256"]
     assert cards["true"]["true_materials"] and not cards["predicted"]["true_materials"]
+    assert cards["true"]["condition_sha256"] is None
+    assert {one["name"] for one in cards["true"]["condition_classes"]} == set(GRID["materials"])
     assert len({card["training_videos"] for card in cards.values()} | {8}) == 1
     assert len({card["epochs"] for card in cards.values()}) == 1
 
@@ -115,31 +116,29 @@ def test_a_question_without_answer_is_left_out_but_refused_when_named(dataset, t
 
 def test_the_command_trains_sums_up_and_refuses_in_one_line(dataset, tmp_path, capsys):
     config = configuration(questions=["diversity"], networks=["instrument"], seeds=[3])
-    write_config(config, tmp_path / "config.json")
-    start = ["ablate", "--config", str(tmp_path / "config.json")]
+    write_config(config, tmp_path / "c.json")
+    start = f"ablate --config {tmp_path}/c.json"
+    one = f"{start} --dataset {dataset} --seed 3 --question"
     for variant in ("replicates", "textures"):
         out = tmp_path / "ablate" / "diversity" / f"instrument_{variant}_seed3.json"
-        words = ["--dataset", str(dataset), "--question", "diversity", "--seed", "3"]
-        words += ["--network", "instrument", "--variant", variant, "--out", str(out)]
-        assert main([*start, *words]) == 0
+        assert run(f"{one} diversity --network instrument --variant {variant} --out {out}") == 0
     assert "diversity seed 3: instrument textures: 8 videos of 4" in capsys.readouterr().out
     assert read_sidecar(out)["seed"] == 3
 
     summary, page = tmp_path / "ablate.json", tmp_path / "index.html"
-    sums = [*start, "--summary", str(tmp_path / "ablate"), "--out", str(summary)]
-    assert main([*sums, "--page", str(page)]) == 0
+    sums = f"{start} --summary {tmp_path}/ablate --out {summary}"
+    assert run(f"{sums} --page {page}") == 0
     said = capsys.readouterr().out
     assert said.startswith("diversity: instrument: ") and "one replicate in 2 textures" in said
     assert json.loads(summary.read_text())["questions"]["diversity"]["rows"][0]["n"] == 8
     assert "one replicate in 2 textures" in page.read_text()
 
     out.rename(out.with_name("moved.json"))
-    single = [*start, "--dataset", str(dataset), "--out", "x.json", "--seed", "3"]
-    single.append("--question")
-    for words, problem in (
+    lrcn = f"{one} schedule --network lrcn --variant he --out x.json"
+    for command, problem in (
         (sums, "instrument_textures_seed3.json: no such file"),
-        ([*sums, "--seed", "1"], "--seed cannot be combined with --summary"),
-        ([*start, "--out", "x.json"], "--question, --network, --variant and --seed are required"),
-        ([*single, "schedule", "--network", "lrcn", "--variant", "he"], "no variant lrcn he"),
+        (f"{sums} --seed 1", "--seed cannot be combined with --summary"),
+        (f"{start} --out x.json", "--question, --network, --variant and --seed are required"),
+        (lrcn, "no variant lrcn he"),
     ):
-        assert problem in refused(capsys, words)
+        assert problem in refused(capsys, command)

@@ -9,11 +9,10 @@ import pyarrow.parquet as pq
 import pytest
 from support import synthetic_videos
 from support.models import held_out
-from support.refusal import refused
+from support.refusal import refused, run
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import file_digest, read_metadata, read_sidecar
-from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.dataset.videos import read_videos
@@ -232,9 +231,7 @@ def test_intervals_alone_change_and_hold_on_all_simulations_together(
 
 def readings_file(instrument, videos, path, **entries):
     """As benchmarks publish them, with a reading by a single training among them."""
-    rows = []
-    frames = phased(videos.pixels, 6, None)
-    told = instrument.answers(frames, np.random.default_rng(0))
+    rows, told = [], answers_of(instrument, videos)
     intervals = instrument.intervals(instrument.distributions(told.probabilities))
     for row, (reading, low, high) in zip(videos.rows, intervals.tolist(), strict=True):
         known = {"simulation": row["simulation"], "friction": row["friction"], "seed": None}
@@ -250,9 +247,8 @@ def test_readings_calibrate_it_as_their_videos_do(
 ):
     videos = read_videos(other_bench, lambda row: row["viewpoint"] == "calibrated")
     file = readings_file(average, videos, tmp_path / "readings.json", dataset=videos.digest)
-    words = ["instrument", "--recalibrate", str(folder / "by_simulation/ensemble")]
-    words += ["--out-dir", str(tmp_path / "out")]
-    assert main([*words, "--readings", str(file)]) == 0
+    recalibrate = f"instrument --recalibrate {folder}/by_simulation/ensemble"
+    assert run(f"{recalibrate} --out-dir {tmp_path}/out --readings {file}") == 0
     found, wanted = load_instrument(tmp_path / "out"), load_instrument(recalibrated)
     # What an interval that the grid cuts off would have needed is not known, but held already.
     assert found.conformal_scale == pytest.approx(wanted.conformal_scale)
@@ -270,11 +266,8 @@ def test_readings_calibrate_it_as_their_videos_do(
     # Once more on others: those of before stay.
     again = readings_file(found, some, tmp_path / "b.json")
     recalibrate_instrument(tmp_path / "out", tmp_path / "twice", files=[again])
-    twice = load_instrument(tmp_path / "twice")
-    assert [one["digest"] for one in twice.card["calibration_readings"]] == [
-        file_digest(file),
-        file_digest(again),
-    ]
+    noted = load_instrument(tmp_path / "twice").card["calibration_readings"]
+    assert [one["digest"] for one in noted] == [file_digest(file), file_digest(again)]
     inputs = read_sidecar(tmp_path / "twice" / WEIGHTS)["inputs"]
     assert {f"calibration_readings/{n}" for n in ("0/readings.json", "1/b.json")} <= set(inputs)
 
@@ -307,9 +300,9 @@ def test_readings_that_cannot_be_of_it_are_refused(
     if reading:
         content["readings"][1] |= reading
     file.write_text(json.dumps(content))
-    words = ["instrument", "--recalibrate", str(folder / "by_simulation/ensemble")]
-    words += ["--out-dir", str(tmp_path / "out"), "--readings", str(file)]
-    assert f"{file}: {problem}" in refused(capsys, words)
+    recalibrate = f"instrument --recalibrate {folder}/by_simulation/ensemble"
+    said = refused(capsys, f"{recalibrate} --out-dir {tmp_path}/out --readings {file}")
+    assert f"{file}: {problem}" in said
     assert not (tmp_path / "out").exists()
 
 
@@ -334,14 +327,14 @@ def test_what_cannot_calibrate_is_refused(
     ):
         with pytest.raises(BadInput, match=problem):
             recalibrate_instrument(one, out, [further])
-    words = ["instrument", "--recalibrate", str(whole), "--out-dir", str(out)]
+    command = f"instrument --recalibrate {whole} --out-dir {out}"
     needed = "--recalibrate requires --calibration-datasets, --readings or both"
-    assert needed in refused(capsys, words)
-    words += ["--calibration-datasets", str(other_bench)]
-    said = refused(capsys, [*words, "--dataset", str(dataset)])
+    assert needed in refused(capsys, command)
+    command += f" --calibration-datasets {other_bench}"
+    said = refused(capsys, f"{command} --dataset {dataset}")
     assert "--dataset cannot be combined with --recalibrate" in said
     assert not out.exists()
-    assert main(words) == 0
+    assert run(command) == 0
     assert "average of seeds 0, 1, 2; calibrated on 36 simulations" in capsys.readouterr().out
 
 
@@ -392,15 +385,15 @@ def test_it_is_found_beside_its_members_and_only_with_them(members, folder, tmp_
 
 def test_the_command_averages_and_says_so(dataset, members, tmp_path, capsys):
     write_config(CONFIG, tmp_path / "c.json")
-    words = ["instrument", "--config", str(tmp_path / "c.json"), "--dataset", str(dataset)]
-    words += ["--split", "by_simulation", "--out-dir", str(tmp_path / "out")]
-    assert main([*words, "--members", *map(str, members)]) == 0
+    command = f"instrument --config {tmp_path}/c.json --dataset {dataset} --split by_simulation "
+    command += f"--out-dir {tmp_path}/out"
+    of_all = f"{command} --members {' '.join(map(str, members))}"
+    assert run(of_all) == 0
     said = capsys.readouterr().out
     assert "average of seeds 0, 1, 2; calibrated on 12 simulations" in said
-    missing = tmp_path / "missing"
-    for more, problem in (
-        (["--members", *map(str, members), "--seed", "0"], "--members cannot be combined with --s"),
-        ([], "one of --seed, --members, --recalibrate is required"),
-        (["--members", str(members[0]), str(missing)], f"{missing / WEIGHTS}: no such file"),
+    for words, problem in (
+        (f"{of_all} --seed 0", "--members cannot be combined with --seed"),
+        (command, "one of --seed, --members, --recalibrate is required"),
+        (f"{of_all} {tmp_path}/missing", f"missing/{WEIGHTS}: no such file"),
     ):
-        assert problem in refused(capsys, [*words, *more])
+        assert problem in refused(capsys, words)

@@ -8,8 +8,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 import torch
-from safetensors import safe_open
-from safetensors.torch import save_file
+from safetensors.torch import load_file, save_file
 from support.models import untrained_instrument
 
 from slipstitch.base.errors import BadInput
@@ -191,8 +190,7 @@ def test_features_shift_by_one_frame_within_their_video():
 )
 def test_a_card_signed_anew_claims_nothing_that_is_not_so(folder, tmp_path, claim):
     """The digests fit; what the card says is looked at before anything is built from it."""
-    with safe_open(folder / WEIGHTS, "pt") as file:
-        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    tensors = load_file(folder / WEIGHTS)
     card = json.loads((folder / CARD).read_text())
     card.pop("weights_sha256")
     write_weights(tensors, {**card, **claim}, tmp_path / WEIGHTS, tmp_path / CARD)
@@ -222,13 +220,13 @@ def test_too_few_calibration_simulations_are_told_from_enough(folder):
 
 def test_an_instrument_trained_by_video_says_so(folder):
     instrument = load_instrument(folder)
-    by = {
-        split: dataclasses.replace(instrument, card=instrument.card | {"split": split})
-        for split in ("by_video", "by_video_reflective", "by_simulation")
-    }
+
+    def caveats(split):
+        return dataclasses.replace(instrument, card=instrument.card | {"split": split}).caveats
+
     for split in ("by_video", "by_video_reflective"):
-        assert "trained with the split by video" in by[split].caveats[0]
-    assert by["by_simulation"].caveats == []
+        assert "trained with the split by video" in caveats(split)[0]
+    assert caveats("by_simulation") == []
 
 
 def test_a_truth_at_the_end_of_the_grid_is_inside_the_whole_grid():
@@ -242,12 +240,8 @@ def test_error_bars_from_unseen_fabrics_alone_leave_the_fabrics_probabilities():
     instrument = untrained()
     instrument = dataclasses.replace(instrument, card=instrument.card | {"dataset_digest": "own"})
     rows = [
-        {
-            "video": f"v{k}",
-            "simulation": f"s{k}",
-            "friction": 0.1 * k,
-            "material": "gray-interlock" if k < 4 else "x",
-        }
+        {"video": f"v{k}", "simulation": f"s{k}", "friction": 0.1 * k}
+        | {"material": "gray-interlock" if k < 4 else "x"}
         for k in range(1, 16)
     ]
     videos = Videos(rows, np.stack([frames(seed=k) for k in range(15)]), "own")
