@@ -8,7 +8,6 @@ import pytest
 from support.refusal import refused, run
 
 from slipstitch.base.errors import BadInput
-from slipstitch.cli.main import main
 from slipstitch.film.edge_height import EdgeFinder, EdgeHeight
 from slipstitch.film.measure import EXAMPLE_CAMERA, EXAMPLE_VIDEO, clamp_height
 from slipstitch.film.measure.clamp_height import ClampHeight, SeenClamps
@@ -123,8 +122,7 @@ def test_a_height_in_the_film_corrects_or_alarms(
     seen = EdgeHeight(height_m, 0.0004)
     monkeypatch.setattr(EdgeFinder, "found", lambda self: seen)
     numbers = exact_camera.with_name("numbers.json")
-    words = ["measure", str(EXAMPLE_VIDEO), "--camera", str(exact_camera), "--json", str(numbers)]
-    assert main(words) == code
+    assert run(f"measure {EXAMPLE_VIDEO} --camera {exact_camera} --json {numbers}") == code
     assert says in capsys.readouterr().out
     told = json.loads(numbers.read_text())
     assert told["clamp_height_seen_mm"] == pytest.approx(1e3 * height_m)
