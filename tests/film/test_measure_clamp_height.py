@@ -1,6 +1,7 @@
 """A reading corrected for the height of the clamps."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ from slipstitch.base.errors import BadInput
 from slipstitch.film.edge_height import EdgeFinder, EdgeHeight
 from slipstitch.film.measure import EXAMPLE_CAMERA, EXAMPLE_VIDEO, clamp_height
 from slipstitch.film.measure.clamp_height import ClampHeight, SeenClamps
+from slipstitch.film.measure.measuring_bench import MeasuredVideo, measuring_bench
 from slipstitch.images.camera_file import HEIGHT
 from slipstitch.learning.prediction import Prediction
 
@@ -147,3 +149,19 @@ def test_a_height_in_the_film_is_used_if_exact_and_contradicts(
     assert bool(seen.measured()) == corrects
     found = seen.contradiction(told)
     assert says in found and bool(found) == bool(says)
+
+
+@pytest.mark.parametrize(
+    ("told", "says"),
+    [
+        (clamps(151.5), "; the clamps hang at 151.5 ± 0.2 mm, told (trained on 149 ... 151 mm)"),
+        (clamps(150.5), "; camera and clamps are as in the training: look at light, sharpness"),
+        (None, "; the camera is as in the training: look at light, sharpness, scene, fabric"),
+    ],
+)
+def test_an_alarm_of_the_images_says_what_of_the_bench_lies_outside(told, says):
+    bench = measuring_bench(EXAMPLE_CAMERA)
+    read = replace(reading(), alarm_reason="the images differ")
+    result = MeasuredVideo("film.mp4", None, read, 0.1, bench, told)
+    assert result.alarm_reason.startswith(f"the images differ{says}")
+    assert replace(result, measurement=reading()).alarm_reason == ""

@@ -86,7 +86,7 @@ class EdgeFinder:
         """Linear light on the grid, rows downwards."""
         part, place = cut_out(image, self._place, 2)
         grey = LINEAR[part].mean(axis=-1, dtype=np.float32)
-        return cv2.remap(grey, place, None, cv2.INTER_LINEAR)
+        return cv2.remap(grey, place[..., 0], place[..., 1], cv2.INTER_LINEAR)
 
     def found(self) -> EdgeHeight | None:
         """The height that explains the light best; None if no edge can be told."""

@@ -145,5 +145,6 @@ class SeenClamps:
             return ""
         return (
             f"in the film the clamps are seen at {self}, {1e3 * away_m:+.1f} mm from the height "
-            f"{'told' if told else 'of the protocol'}: measure it with a gauge block"
+            f"{'told' if told else 'of the protocol'}: measure it with a gauge block, "
+            "and how thick the calibration board is"
         )

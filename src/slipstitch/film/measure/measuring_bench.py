@@ -68,13 +68,21 @@ class MeasuredVideo:
 
     @property
     def alarm_reason(self) -> str:
-        """Why the numbers are not reliable: the images, the camera's pose, the clamps; or empty."""
-        outside, seen = self.bench.outside, self.seen_clamps
-        pose = f"{_OUTSIDE}: {'; '.join(outside)}" if outside else ""
-        clamps = ""
-        if not self.clamps and seen and seen.is_too_far:
-            clamps = f"the clamps hang at {seen} (trained on {self.bench.trained_heights})"
-        return "; ".join(filter(None, (self.measurement.alarm_reason, pose, clamps)))
+        """Why the numbers are not reliable, and what lies outside the training; empty if nothing.
+
+        The images, the camera's pose, and the clamps; these two alone say which way.
+        """
+        images, outside, seen = self.measurement.alarm_reason, self.bench.outside, self.seen_clamps
+        reasons = [images, f"{_OUTSIDE}: {'; '.join(outside)}" if outside else ""]
+        known = self.clamps or (seen if seen and seen.is_exact else None)
+        is_too_far = not self.clamps and bool(seen and seen.is_too_far)
+        is_trained = not known or abs(known.height_m - known.protocol_m) <= ASSUMED_M
+        if not is_trained and (images or is_too_far):
+            reasons.append(f"the clamps hang at {known} (trained on {self.bench.trained_heights})")
+        elif images and self.bench.pose_range and not outside:
+            what = "camera and clamps are" if known else "the camera is"
+            reasons.append(f"{what} as in the training: look at light, sharpness, scene, fabric")
+        return "; ".join(filter(None, reasons))
 
     @property
     def height_of_clamps(self) -> str:
