@@ -195,5 +195,7 @@ def test_a_square_in_another_unit_is_refused_where_the_camera_is_placed(
     command = f"capture camera {' '.join(map(str, paths))} --squares 9x6 --stage-view {paths[0]}"
     command += f" --place-mm 60 60 --out {tmp_path}/a.json --square-mm"
     assert run(f"{command} 20") == 0
+    # How thick the board is was not said: the camera tells no heights.
+    assert json.loads((tmp_path / "a.json").read_text())["uncertainty"]["clamp_height_m"] is None
     said = refused(capsys, f"{command} {square_mm:g}")
     assert f"are the squares {square_mm:g} mm (--square-mm)?" in said

@@ -80,7 +80,10 @@ def capture() -> None:
     help="angle from the stage's direction to the board's width, counter-clockwise from above",
 )
 @option(
-    "--thickness-mm", type=float, help="height of the board's face above the floor (default: 0)"
+    "--thickness-mm",
+    type=float,
+    help="height of the board's face above the floor (default: 0); with it and the place, "
+    "the camera tells the clamps' height",
 )
 @option("--out", required=True, type=JSON, help="camera file")
 @option("--picture", type=PICTURE, help="the residuals (PNG or SVG)")
@@ -102,7 +105,10 @@ def camera(arguments: Arguments) -> None:
         refuse(arguments, ("picture",), "--from")
     board = _board(arguments)
     x_mm, y_mm = arguments.place_mm or (0.0, 0.0)
-    place = FloorPlace(x_mm, y_mm, arguments.angle_deg or 0.0, arguments.thickness_mm or 0.0)
+    is_measured = None not in (arguments.place_mm, arguments.thickness_mm)
+    place = FloorPlace(
+        x_mm, y_mm, arguments.angle_deg or 0.0, arguments.thickness_mm or 0.0, is_measured
+    )
     source, out = arguments.source or list(arguments.views), arguments.out
     line = camera_to_file(source, board, arguments.stage_view, place, out, arguments.picture)
     print(f"{out}: {line}")

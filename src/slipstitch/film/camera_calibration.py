@@ -177,6 +177,7 @@ class FloorPlace:
     y_mm: float
     angle_deg: float
     thickness_mm: float
+    is_measured: bool = True  # none of these is merely assumed
 
     def on_stage(self, points_m: np.ndarray) -> np.ndarray:
         """Points of the board (N, 3) in the stage's coordinates; the board's face looks up."""
@@ -322,7 +323,9 @@ def camera_to_file(
         inputs.append(stage_view)
         line += stage.summary()
     known.setdefault("uncertainty", {})["position_m"] = stage and stage.position_uncertainty_m
-    known["uncertainty"][HEIGHT] = stage and stage.height_uncertainty_m
+    known["uncertainty"][HEIGHT] = (
+        stage.height_uncertainty_m if stage and place.is_measured else None
+    )
     known.setdefault("reprojection_error_px", {})["stage_view"] = stage and stage.rms_px
     on_floor = {"board": board and asdict(board), "place": stage and asdict(stage.place)}
     content = {
