@@ -7,6 +7,7 @@ python benchmarks/results_page.py [--check]
 
 import argparse
 import json
+import math
 from pathlib import Path
 
 import pandas
@@ -25,6 +26,7 @@ CRITICISM = ROOT / "docs" / "how" / "criticism.md"
 CONFIG_PAGE = ROOT / "docs" / "config.md"
 SCHEMA = ROOT / "workflow/schemas/config.schema.json"
 CARD = ROOT / "src/slipstitch/film/measure/shipped/MODEL_CARD.md"
+FRICTION = 0.5  # at which relative errors are told
 INTERVAL_SCORES = "mean error of μ|within 0.1|90 % intervals that hold|their mean width"
 NETWORKS = {
     "material_baseline": "fabric",
@@ -207,6 +209,37 @@ def clamp_height():
     return table("|relative error of μ per millimetre that the clamps hang higher", rows)
 
 
+def bench_tolerances():
+    """Return what each part of a bench, as exact as it may be, adds to the error of μ."""
+    per_mm = abs(read("camera/clamp_height.json")["all"]["error_per_mm"])
+    angles, reach = read("camera/angles.json")["angles"], read("camera/reach.json")
+    aside = max(angles[turn]["mean_absolute_error"] for turn in ("-15", "+15"))
+    turned = read("camera/hidden_effect.json")["warp"]["before"]["mean_absolute_error"]
+    rows = [
+        [words, tolerance, f"{FRICTION * per_mm * away_mm:.3f}"]
+        for words, tolerance, away_mm in (
+            ("height, not measured", "± 1 mm", 1.0),
+            ("height, told by the film", "± 0.5 mm", 0.5),
+            ("height, set with a gauge block", "± 0.2 mm", 0.2),
+            ("one holder higher than the other", "0.5 mm", 0.25),
+        )
+    ]
+    slope, incline = (math.tan(math.radians(degrees)) for degrees in (0.2, 0.3))
+    rows += [
+        ["substrate slopes", "0.2°", f"{slope:.3f}"],
+        ["reference on an inclined plane", "± 0.3°", f"{(1 + FRICTION**2) * incline:.3f}"],
+    ]
+    rows += [
+        [words, tolerance, f"{error:.3f} in all"]
+        for words, tolerance, error in (
+            ("camera aside", "15°", aside),
+            ("fabric none of the nine", "", reach["unseen_fabric"]["mean_absolute_error"]),
+            ("friction of warp and weft differs", "25 %", turned),
+        )
+    ]
+    return table("what|tolerance|error of μ", rows)
+
+
 def processors():
     """Return what another kind of processor changes."""
     found = read("camera/processors.json")
@@ -317,6 +350,10 @@ SECTIONS = {
     "Height of the clamps": (
         "The instrument does not know the height; `--clamp-height-mm` corrects by the first row.",
         clamp_height,
+    ),
+    "What a tolerance of the bench costs": (
+        "At μ = 0.5, besides the instrument's own error; “in all”: with it.",
+        bench_tolerances,
     ),
     "Another processor": ("", processors),
     "The simulator against theory": (
