@@ -55,9 +55,6 @@ class ReleaseSettings(Section):
     """version of the dataset, MAJOR.MINOR.PATCH"""
     shard_mb: float = Field(256.0, gt=0.0, le=5000.0)
     """maximum size of an image shard"""
-    unseen_share: float = Field(0.2, gt=0.0, lt=1.0)
-    """share of the fabrics, and of the friction coefficients between the lowest and the highest,
-    held out by unseen_fabric and unseen_friction; at least one"""
 
 
 class PublishSettings(Section):

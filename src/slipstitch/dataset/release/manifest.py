@@ -6,8 +6,7 @@ parts, so that a split is a list of files and no image is stored twice.
 """
 
 from collections import defaultdict
-from collections.abc import Collection, Mapping, Sequence
-from functools import partial
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +17,13 @@ import pyarrow.parquet as pq
 from slipstitch.base.provenance import attach_metadata
 from slipstitch.config import Config
 from slipstitch.dataset.manifest import dataset_digest
-from slipstitch.design.grid import Simulation, simulations
+from slipstitch.design.grid import simulations
 from slipstitch.design.interpolation import interpolations
 from slipstitch.design.splits import SIDES
 
 PREFIX = "split_"
+#: Of the fabrics, and of the inner friction coefficients, kept for testing; at least one.
+UNSEEN_SHARE = 0.2
 Row = Mapping[str, Any]
 
 QUESTIONS = {
@@ -52,10 +53,7 @@ def _roles(row: Row) -> dict[str, str]:
 
 
 def unseen_frictions(frictions: Sequence[float], share: float) -> list[float]:
-    """Coefficients that unseen_friction tests: evenly spread between the lowest and the highest.
-
-    Empty for fewer than three coefficients.
-    """
+    """Coefficients that unseen_friction tests, evenly between the ends of at least three."""
     inner = sorted(set(frictions))[1:-1]
     if not inner:
         return []
@@ -75,25 +73,13 @@ def unseen_fabrics(materials: Sequence[str], share: float, seed: int) -> list[st
 
 
 def split_columns(rows: Sequence[Row], config: Config) -> dict[str, list[str | None]]:
-    """Every named split's side of every video.
+    """Every named split's side of every video: train, validation, test or None (not used).
 
     The coefficients and fabrics that are held out are simulated ones. A video whose cloth is
     interpolated never tests them. It trains unless a held-out fabric is in its cloth, or a held-out
-    coefficient is one of its simulations' or lies between these. ``release.unseen_share`` is the
-    share of fabrics and inner friction coefficients that are kept for testing, the seed draws the
-    fabrics.
-
-    Parameters
-    ----------
-    rows : sequence of mappings
-        The sample stage's manifest: ids, columns ``split_*`` (sides), ``*_role`` (train or test),
-        ``material`` and ``friction``.
-
-    Returns
-    -------
-    dict
-        Name of the split -> train, validation, test or None (not used), in the order of `rows`.
-        Splits that have no test video or none to train on are left out.
+    coefficient is one of its simulations' or lies between these. `rows` are the sample stage's
+    manifest, in whose order the sides are; splits that have no test video or none to train on are
+    left out.
     """
     splits: dict[str, list[str | None]] = {}
     trains = ["test" not in _roles(row).values() for row in rows]
@@ -110,34 +96,21 @@ def split_columns(rows: Sequence[Row], config: Config) -> dict[str, list[str | N
     simulated = [
         row for row, of, trained in zip(rows, parents, trains, strict=True) if trained and not of
     ]
-    share = config.release.unseen_share
-    frictions = unseen_frictions([row["friction"] for row in simulated], share)
-    fabrics = unseen_fabrics([row["material"] for row in simulated], share, config.seed)
-    for name, shows in (
-        ("unseen_friction", partial(_shows_friction, held=frictions)),
-        ("unseen_fabric", partial(_shows_fabric, held=fabrics)),
-    ):
-        splits[name] = [
-            _held_out(row, bool(of), shows(row, of)) if trained else None
-            for row, of, trained in zip(rows, parents, trains, strict=True)
-        ]
+    frictions = unseen_frictions([row["friction"] for row in simulated], UNSEEN_SHARE)
+    fabrics = unseen_fabrics([row["material"] for row in simulated], UNSEEN_SHARE, config.seed)
+    splits["unseen_friction"], splits["unseen_fabric"] = [], []
+    for row, of, trained in zip(rows, parents, trains, strict=True):
+        ends = [parent.friction for parent in of] or [row["friction"]]
+        friction = any(min(ends) <= one <= max(ends) for one in frictions)
+        fabric = not {row["material"], *(parent.material for parent in of)}.isdisjoint(fabrics)
+        for name, held in (("unseen_friction", friction), ("unseen_fabric", fabric)):
+            splits[name].append(_held_out(row, bool(of), held) if trained else None)
     for kind in _roles(rows[0]):
         # Where the grid itself keeps some for testing, those are the unseen ones.
         if any(row[f"{kind}_role"] == "test" for row in rows):
             name = "unseen_fabric" if kind == "material" else f"unseen_{kind}"
             splits[name] = [_unseen_kind(row, kind) for row in rows]
     return {name: sides for name, sides in splits.items() if {"train", "test"} <= set(sides)}
-
-
-def _shows_friction(row: Row, parents: Sequence[Simulation], held: Collection[float]) -> bool:
-    """Whether a video shows one of these coefficients, or lies between simulations around one."""
-    ends = [parent.friction for parent in parents] or [row["friction"]]
-    return any(min(ends) <= friction <= max(ends) for friction in held)
-
-
-def _shows_fabric(row: Row, parents: Sequence[Simulation], held: Collection[str]) -> bool:
-    """Whether one of these fabrics is in a video's cloth."""
-    return not {row["material"], *(parent.material for parent in parents)}.isdisjoint(held)
 
 
 def _held_out(row: Row, interpolated: bool, held: bool) -> str | None:
