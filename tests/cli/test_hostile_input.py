@@ -33,7 +33,7 @@ from slipstitch.base.provenance import (
 from slipstitch.cli.main import main
 from slipstitch.film.board import _frames
 from slipstitch.film.recording import Recording
-from slipstitch.learning.lrcn_model import load_model
+from slipstitch.learning.lrcn import load_model
 
 SOURCES = sorted((Path(__file__).parents[2] / "src").rglob("*.py"))
 # Modules and functions that run what they read.

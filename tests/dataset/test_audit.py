@@ -22,7 +22,7 @@ from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import attach_metadata, file_digest, write_parquet
 from slipstitch.config import load_config, write_config
 from slipstitch.config.catalogue import fabric_names
-from slipstitch.dataset.audit import rebuild, staleness
+from slipstitch.dataset.audit import auditing, lineage_check
 from slipstitch.dataset.audit.auditing import audit_release
 from slipstitch.dataset.audit.contents import read_contents
 from slipstitch.dataset.audit.findings import Kind
@@ -439,7 +439,7 @@ def test_release_takes_the_friction_law_along_and_the_audit_follows_it(
     release = released(config, folder, tmp_path)
     assert (release / carried).read_bytes() == Path(model).read_bytes()
     assert f"({carried})" in (release / "README.md").read_text()
-    made_again = rebuild._configuration(read_contents(release), config, tmp_path)
+    made_again = auditing._configuration(read_contents(release), config, tmp_path)
     assert Path(load_config(made_again).simulation.model) == release / carried
 
 
@@ -457,13 +457,13 @@ def test_changed_entry_of_a_catalogue_makes_stale_not_damaged(original, monkeypa
 
 
 def test_changed_code_makes_its_stage_stale(original, monkeypatch):
-    now = staleness.current_digest
+    now = lineage_check.current_digest
 
     def changed(stage, root=None, versions=None):
         is_changed = stage == "render" and root is None
         return NONE if is_changed else now(stage, root, versions)
 
-    monkeypatch.setattr(staleness, "current_digest", changed)
+    monkeypatch.setattr(lineage_check, "current_digest", changed)
     audit = audit_release(original)
     assert audit.verdict == "stale"
     assert [(one.where, one.what) for one in audit.findings] == [("render", "its code has changed")]
@@ -476,7 +476,7 @@ def hold_in_every_commit(monkeypatch, write):
     """Let any commit be known, with what `write` puts into the folder."""
     folder = tempfile.TemporaryDirectory()
     write(Path(folder.name))
-    monkeypatch.setattr(staleness, "_unpacked", lambda checkout, commit: folder)
+    monkeypatch.setattr(lineage_check, "_unpacked", lambda checkout, commit: folder)
 
 
 def test_commit_that_holds_other_code_is_found(forger, monkeypatch):
@@ -614,13 +614,13 @@ def test_story_says_where_the_chain_breaks_and_the_digest_of_other_pixels(forger
 def test_comparison_of_a_rebuilt_clip_says_by_how_much_it_differs():
     first = np.zeros((3, 8, 8, 3), np.uint8)
     second = first.copy()
-    same = rebuild.compare("a", first, second, True)
+    same = auditing.compare("a", first, second, True)
     assert same.same and same.psnr_db is None
-    told = rebuild.compare("a", first, second, True, ("solver of results/simulate/a.parquet",))
+    told = auditing.compare("a", first, second, True, ("solver of results/simulate/a.parquet",))
     assert not told.same
-    assert "TELL OTHERWISE: solver of results/simulate/a.parquet" in rebuild.in_words(told)
+    assert "TELL OTHERWISE: solver of results/simulate/a.parquet" in auditing.in_words(told)
     second[1, 2, 3, 0] = 200
-    other = rebuild.compare("a", first, second, True)
+    other = auditing.compare("a", first, second, True)
     assert not other.same_pixels
     assert (other.images_differing, other.largest_difference) == (1, 200)
     expected = 10 * np.log10(255**2 / (200**2 / first.size))
@@ -634,10 +634,10 @@ def test_a_law_that_lay_elsewhere_is_no_difference_of_a_simulation_made_again(tm
     for settings, told in (({"frames": 9}, []), ({"frames": 8}, [f"settings of {recorded.path}"])):
         again = metadata | {"settings": settings | {"model": "/release/records/law.yaml"}}
         write_parquet(pa.table({"frame": [0]}), made, again)
-        assert rebuild._differing(recorded, made) == told
+        assert auditing._differing(recorded, made) == told
 
 
 def test_clip_without_whole_records_is_not_rebuilt(forger, release):
     forger.edit_records(RENDER, lambda one: one.clear())
     with pytest.raises(BadInput, match=f"the records behind {CLIP} are not whole"):
-        rebuild.rebuild(read_contents(release), CLIP)
+        auditing.rebuild(read_contents(release), CLIP)

@@ -17,8 +17,8 @@ import pyarrow.parquet as pq
 import pytest
 from support.forger import Forger
 
-from slipstitch.dataset.images import DATASET_SCHEMA
 from slipstitch.dataset.release.checksums import SUMS
+from slipstitch.dataset.videos import DATASET_SCHEMA
 
 pytestmark = pytest.mark.slow
 

@@ -135,7 +135,7 @@ def test_commits_and_stages_of_other_code_are_said_and_no_damage(folder, monkeyp
         records += [read_metadata(PUBLISHED / "dataset/manifest.parquet")["provenance"]]
         return next(one["code_digest"] for one in records if one["stage"] == stage)
 
-    monkeypatch.setattr("slipstitch.dataset.audit.staleness.current_digest", recorded)
+    monkeypatch.setattr("slipstitch.dataset.audit.lineage_check.current_digest", recorded)
     # The trainings are older than their average: one of the two is always of other code.
     other = "made by other code or libraries than those that audit: instrument"
     assert notes_of(folder, "made by other code") == [other]

@@ -22,7 +22,6 @@ from slipstitch.base.errors import BadInput, SlipstitchError
 from slipstitch.base.provenance import attach_metadata, read_metadata
 from slipstitch.config.catalogue import VIEWPOINTS, fabric_names
 from slipstitch.dataset.audit.auditing import audit_release
-from slipstitch.dataset.images import decode, pixels_digest
 from slipstitch.dataset.manifest import dataset_digest, read_manifest
 from slipstitch.dataset.release import assembly
 from slipstitch.dataset.release.assembly import write_release
@@ -36,6 +35,7 @@ from slipstitch.dataset.release.manifest import (
     unseen_frictions,
 )
 from slipstitch.dataset.release.records import rows_digest
+from slipstitch.dataset.videos import decode, pixels_digest
 from slipstitch.design.grid import films, simulations
 from slipstitch.design.interpolation import filmed_friction, interpolations
 from slipstitch.design.splits import sides_of_simulations

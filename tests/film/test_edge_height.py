@@ -6,7 +6,7 @@ import pytest
 from support import analytic_stage as stage
 
 from slipstitch.film.edge_height import EdgeFinder
-from slipstitch.images.bench_camera import BenchCamera
+from slipstitch.images.calibrated_view import BenchCamera
 from slipstitch.images.camera import Camera
 
 SCHEDULE = stage.protocol()[1]

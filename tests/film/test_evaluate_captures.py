@@ -20,7 +20,7 @@ from slipstitch.images.camera import pose
 from slipstitch.learning.evaluation import paper
 from slipstitch.learning.evaluation.trained import Trained
 from slipstitch.learning.instrument.measuring import save_instrument
-from slipstitch.learning.lrcn_model import load_model
+from slipstitch.learning.lrcn import load_model
 
 CLASSES = captured(
     [0.3, 0.3, 0.3, 0.3, 0.3, 0.5, 0.6, 0.6, 0.7, 0.9],

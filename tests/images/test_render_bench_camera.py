@@ -11,9 +11,15 @@ from slipstitch.base.provenance import read_metadata
 from slipstitch.cli.main import main
 from slipstitch.config.catalogue import Viewpoint
 from slipstitch.config.render import RenderSettings
-from slipstitch.images import bench_camera
-from slipstitch.images.bench_camera import BenchCamera, Rectifier, draw_bench_camera
-from slipstitch.images.calibrated_view import CalibratedView, cloth_room, crop_to
+from slipstitch.images import calibrated_view
+from slipstitch.images.calibrated_view import (
+    BenchCamera,
+    CalibratedView,
+    Rectifier,
+    cloth_room,
+    crop_to,
+    draw_bench_camera,
+)
 from slipstitch.images.camera import pose, relative_pose
 from slipstitch.physics.simulation.trajectory import Trajectory, write_trajectory
 
@@ -49,7 +55,6 @@ def test_every_simulation_has_a_camera_of_its_own_so_that_none_tells_a_fabric():
         ("m05_f0300_r00", "bench_2"),
     ]
     assert all(drawn(*other) != first for other in others)
-    assert json.loads(json.dumps(first.record())) == first.record()
 
 
 def test_cameras_fill_the_family_and_a_third_stands_as_calibrated():
@@ -123,7 +128,7 @@ def shard(tmp_path_factory):
         words = ["--config", str(folder / "config.json"), "--viewpoint", viewpoint]
         with pytest.MonkeyPatch.context() as patch:
             for name, value in (EXACT | constants).items():
-                patch.setattr(bench_camera, name, value)
+                patch.setattr(calibrated_view, name, value)
             assert main(["render", *words, *files]) == 0
         return read_metadata(out), synthetic_videos.images_of(out)
 

@@ -8,10 +8,9 @@ import pytest
 from support import synthetic_cloth
 
 from slipstitch.config.catalogue import VIEWPOINTS, Viewpoint
-from slipstitch.images.blender import ClothScene
+from slipstitch.images.blender import ClothScene, read_exr
 from slipstitch.images.calibrated_view import cloth_room, crop_to
 from slipstitch.images.camera import Camera, pose
-from slipstitch.images.exr import read_exr
 from slipstitch.images.reflection import glint_share
 from slipstitch.images.surroundings import FLOOR_M, Surroundings
 

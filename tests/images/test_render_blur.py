@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from slipstitch.images.blur import GAUSSIAN, blur_weights, blurred, spread
-from slipstitch.images.reflection import GGX
+from slipstitch.images.reflection import GAUSSIAN, GGX, blur_weights, blurred, spread
 
 SIDE = 160
 

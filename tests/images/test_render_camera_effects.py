@@ -5,8 +5,7 @@ import pytest
 
 from slipstitch.config.catalogue import FLOORS
 from slipstitch.config.render import AugmentationSettings, RenderSettings
-from slipstitch.images.camera_effects import CameraEffects, draw_camera_effects, pixel_noise
-from slipstitch.images.encoding import encode_srgb
+from slipstitch.images.encoding import CameraEffects, draw_camera_effects, encode_srgb, pixel_noise
 from slipstitch.images.surroundings import LAMP_POSITION_M, MATTE, draw_surroundings
 
 LIGHT = np.random.default_rng(0).uniform(0.1, 0.6, (24, 24, 3))

@@ -12,7 +12,7 @@ from support import synthetic_cloth
 from support.refusal import refused
 from support.synthetic_videos import images_of as images
 
-from slipstitch.base.provenance import read_metadata, read_provenance, read_sidecar
+from slipstitch.base.provenance import read_metadata, read_provenance, read_sidecar, start_clock
 from slipstitch.cli.main import main
 from slipstitch.config import resolve_config
 from slipstitch.images import verification
@@ -232,7 +232,9 @@ def test_a_viewpoint_of_the_second_training_set_keeps_its_id_and_its_floors(tmp_
         "v00": "v00", "v02": "v02", "calibrated": "v00", "frontal": "frontal"
     }  # fmt: skip
     assert views["v02"].viewpoint == "calibrated"
-    assert list(views["v02"].catalogue_entries()["floors"]) == ["aluminium"]
-    assert list(views["v00"].catalogue_entries()["floors"]) == ["matte"]
+    path.touch()
+    for name, floor in (("v02", "aluminium"), ("v00", "matte")):
+        recorded = views[name].record("render", start_clock(), {})["config"]
+        assert list(recorded["catalogue"]["floors"]) == [floor]
     floors = {draw_surroundings(config.render, 1, path.stem, name).floor for name in ("v02", "v03")}
     assert floors == {"aluminium"}

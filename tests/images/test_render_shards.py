@@ -241,7 +241,7 @@ def test_an_unusable_trajectory_is_one_clear_line(work, capsys, damage, message)
     [
         (["--out-sheet", "a.png"], "--preview requires image shards"),
         (["v00.parquet"], "requires --out-sheet or --out-video"),
-        (["--out-sheet", "a.png", "m05_f0300_r00.parquet"], "not an image shard"),
+        (["--out-sheet", "a.png", "m05_f0300_r00.parquet"], "no column 'simulation'"),
         (["--out-sheet", "a.gif", "v00.parquet"], "must end in .png"),
         (["--out-video", "a.avi", "v00.parquet"], "must end in .mp4"),
         (["--out-sheet", "a.png", "v00.parquet", "v00.parquet"], "which is also in another shard"),

@@ -12,7 +12,7 @@ from slipstitch.config import write_config
 from slipstitch.config.ablate import VARIANTS
 from slipstitch.learning.ablation.questions import QUESTIONS
 from slipstitch.learning.ablation.run import Case, lrcn_settings, phases, run_case
-from slipstitch.learning.lrcn_model import load_model
+from slipstitch.learning.lrcn import load_model
 
 GRID = {"materials": ["gray-interlock", "ivory-rib-knit"], "frictions": [0.1, 0.6]}
 

@@ -3,6 +3,7 @@
 import contextlib
 import json
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -21,15 +22,14 @@ from slipstitch.dataset.videos import read_videos
 from slipstitch.design.grid import friction_id
 from slipstitch.film.measure import SHIPPED
 from slipstitch.film.measure.measuring_bench import shipped_for
-from slipstitch.learning.evaluation.evaluation import Outputs, write_evaluation
+from slipstitch.learning.evaluation.evaluation import write_evaluation
 from slipstitch.learning.evaluation.metrics import FIELDS
-from slipstitch.learning.evaluation.probes import PREFIX
 from slipstitch.learning.evaluation.scores import network_of, recomputed
-from slipstitch.learning.evaluation.test_sets import wrong_inputs
+from slipstitch.learning.evaluation.test_sets import PREFIX, wrong_inputs
 from slipstitch.learning.evaluation.trained import Trained
 from slipstitch.learning.instrument.ensemble import combine_instruments, recalibrate_instrument
 from slipstitch.learning.instrument.training import train_instrument
-from slipstitch.learning.lrcn_model import load_model
+from slipstitch.learning.lrcn import load_model
 from slipstitch.learning.trainer import Run
 
 CONFIG = synthetic_videos.config(
@@ -78,7 +78,7 @@ def evaluated(chain):
 
 def evaluate(chain, trained, out, **options):
     names = ("metrics.json", "predictions.parquet", "details.json")
-    outputs = Outputs(*(out / name for name in names))
+    outputs = tuple(out / name for name in names)
     return write_evaluation(chain / "sample", trained, outputs, **options)
 
 
@@ -150,7 +150,9 @@ def test_fine_tuned_networks_count_in_the_calibrated_view_those_before_in_all(ch
         ("friction_conditional", "all_views"),
         ("friction_conditional_calibrated", "."),
     ):
-        model = load_model(folder / "friction_conditional/seed0" / place).listening_to(material)
+        model = replace(
+            load_model(folder / "friction_conditional/seed0" / place), material=material
+        )
         for row, shares in zip(videos.rows, model.probabilities(videos), strict=True):
             known = said["view_+5", network].get(row["video"])
             assert known is None or known["probabilities"] == pytest.approx(shares, abs=1e-6)

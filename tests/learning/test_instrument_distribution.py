@@ -6,13 +6,14 @@ import torch
 from scipy.stats import norm
 
 from slipstitch.base.errors import BadInput
+from slipstitch.learning.evaluation.metrics import covered
 from slipstitch.learning.instrument.alarm import SCORES, describe, thumbnails
 from slipstitch.learning.instrument.calibration import fitted_spread
-from slipstitch.learning.instrument.conformal import covered, grouped_quantile
 from slipstitch.learning.instrument.distribution import (
     conformal_intervals,
     conformal_scales,
     friction_grid,
+    grouped_quantile,
     mixture_cumulative,
     probabilities_on_grid,
     quantiles,

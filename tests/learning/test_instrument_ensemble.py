@@ -16,19 +16,25 @@ from slipstitch.base.provenance import file_digest, read_metadata, read_sidecar
 from slipstitch.config import write_config
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.dataset.videos import read_videos
+from slipstitch.learning.evaluation.metrics import covered
 from slipstitch.learning.evaluation.trained import Trained
 from slipstitch.learning.instrument.augmentation import phased
-from slipstitch.learning.instrument.calibration import ANSWERS, read_answers
-from slipstitch.learning.instrument.conformal import covered, grouped_quantile
+from slipstitch.learning.instrument.calibration import (
+    ANSWERS,
+    READINGS,
+    groups_of,
+    kept_readings,
+    read_answers,
+)
 from slipstitch.learning.instrument.distribution import (
     conformal_intervals,
     conformal_scales,
+    grouped_quantile,
     quantiles,
     spread,
 )
 from slipstitch.learning.instrument.ensemble import combine_instruments, recalibrate_instrument
 from slipstitch.learning.instrument.measuring import CARD, WEIGHTS, load_instrument
-from slipstitch.learning.instrument.readings import READINGS, groups_of, kept_readings
 from slipstitch.learning.instrument.training import train_instrument
 from slipstitch.learning.trainer import Run
 

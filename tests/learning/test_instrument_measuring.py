@@ -14,13 +14,13 @@ from support.models import untrained_instrument
 from slipstitch.base.errors import BadInput
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.dataset.videos import Videos
+from slipstitch.learning.evaluation.metrics import covered
 from slipstitch.learning.instrument.augmentation import (
     augmented,
     rectified_with_errors,
     standardised,
 )
 from slipstitch.learning.instrument.calibration import calibrated
-from slipstitch.learning.instrument.conformal import covered
 from slipstitch.learning.instrument.measuring import (
     CARD,
     WEIGHTS,

@@ -14,14 +14,14 @@ from slipstitch.base.errors import BadInput
 from slipstitch.config import write_config
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.learning.instrument.augmentation import disordered, phased
-from slipstitch.learning.instrument.keypoints import (
+from slipstitch.learning.instrument.measuring import load_instrument
+from slipstitch.learning.instrument.network import (
     KEYPOINT_ERROR_M,
+    InstrumentNetwork,
     keypoint_errors,
     next_frictions,
     noisy_keypoints,
 )
-from slipstitch.learning.instrument.measuring import load_instrument
-from slipstitch.learning.instrument.network import InstrumentNetwork
 from slipstitch.learning.instrument.training import (
     chance_score,
     losses,

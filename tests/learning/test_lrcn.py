@@ -9,9 +9,8 @@ from support import synthetic_videos
 from torch import nn
 
 from slipstitch.config.train import TrainSettings
-from slipstitch.learning.classes import chance_loss
-from slipstitch.learning.lrcn import LRCN
-from slipstitch.learning.lrcn_model import class_probabilities
+from slipstitch.learning.lrcn import LRCN, class_probabilities
+from slipstitch.learning.prediction import chance_loss
 from slipstitch.learning.torch_setup import computes_bfloat16
 
 torch.set_num_threads(1)  # threads that wait for one another: 20 times slower on a busy machine

@@ -21,7 +21,7 @@ from slipstitch.dataset.probes import (
     untold_features,
 )
 from slipstitch.dataset.videos import ROLES, Videos, read_videos, takes_part
-from slipstitch.learning.evaluation.probes import (
+from slipstitch.learning.evaluation.test_sets import (
     MIDDLE_FRAME,
     WHAT,
     network_answers,

@@ -24,7 +24,7 @@ from slipstitch.config.simulation import SimulationSettings
 from slipstitch.design.grid import simulations
 from slipstitch.learning.evaluation.metrics import entry
 from slipstitch.learning.evaluation.paper import cumulative_error
-from slipstitch.learning.evaluation.probes import MIDDLE_FRAME
+from slipstitch.learning.evaluation.test_sets import MIDDLE_FRAME
 from slipstitch.report.captures import capture_errors
 from slipstitch.report.cost import benchmarks
 from slipstitch.report.dataset import dataset

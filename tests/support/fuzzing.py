@@ -32,11 +32,10 @@ from slipstitch.config.simulation import BASE, KEYS
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.prediction import read_verdict
 from slipstitch.dataset.audit.auditing import audit_release
-from slipstitch.dataset.images import read_shard
 from slipstitch.dataset.manifest import read_manifest
 from slipstitch.dataset.release.assembly import write_release
 from slipstitch.dataset.release.records import read_artefact
-from slipstitch.dataset.videos import read_videos
+from slipstitch.dataset.videos import read_shard, read_videos
 from slipstitch.design.sampled_frames import sampled_frames
 from slipstitch.film import board
 from slipstitch.film.captures_table import read_captures, read_references
@@ -44,13 +43,12 @@ from slipstitch.film.slip_angles import estimate, read_angles
 from slipstitch.film.stage_video import read_stage_video
 from slipstitch.images.camera import pose
 from slipstitch.images.camera_file import read_camera_file
-from slipstitch.images.preview import decode_image, read_images
+from slipstitch.images.image_shards import decode_image, read_images
 from slipstitch.images.textures import _read as read_texture
-from slipstitch.learning.checkpoint import Progress, load_checkpoint, save_checkpoint
 from slipstitch.learning.evaluation.trained import Trained
 from slipstitch.learning.instrument.measuring import load_instrument, save_instrument
-from slipstitch.learning.lrcn import LRCN
-from slipstitch.learning.lrcn_model import load_model, save_model
+from slipstitch.learning.lrcn import LRCN, load_model, save_model
+from slipstitch.learning.model_file import Progress, load_checkpoint, save_checkpoint
 from slipstitch.physics.calibration.calibration import read_sweeps
 from slipstitch.physics.calibration.sweep import sweep_inputs, variations
 from slipstitch.physics.friction_law.extended_model import read_extended_model
@@ -230,7 +228,7 @@ def _networks(config, folder: Path) -> Found:
     yield "model card", models / "model.json", lambda: load_model(models)
     yield "models of a folder", models / "model.json", lambda: Trained(folder / "models").load()
     optimizer = torch.optim.Adadelta(network.parameters())
-    path = folder / "checkpoint.safetensors"
+    path = folder / "checkpoint.pt"
     save_checkpoint(path, {"a": 1}, Progress(), network, optimizer, start_clock())
     yield "checkpoint", path, lambda: load_checkpoint(path, {"a": 1}, network, optimizer)
 

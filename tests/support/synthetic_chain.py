@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 from slipstitch.base.provenance import provenance_record, start_clock, write_json, write_parquet
 from slipstitch.config import Config, write_config
 from slipstitch.dataset.dataset import write_dataset
-from slipstitch.dataset.images import decode
+from slipstitch.dataset.videos import decode
 from slipstitch.design.grid import Simulation, simulations, write_grid
 from slipstitch.design.stage_path import StagePath
 from slipstitch.images.encoding import encode_png

@@ -18,9 +18,9 @@ from slipstitch.config import Config, resolve_config
 from slipstitch.dataset import dataset
 from slipstitch.dataset.manifest import dataset_digest
 from slipstitch.design.grid import films, simulations, textures, viewpoints
+from slipstitch.images.camera import KEYPOINTS_UV
 from slipstitch.images.encoding import encode_png
 from slipstitch.images.image_shards import SCHEMA
-from slipstitch.images.keypoints import KEYPOINTS_UV
 
 
 def config(**sections) -> Config:

@@ -105,8 +105,8 @@ def _tell(arguments: Arguments, content: dict, text: str) -> None:
 
 
 def _rebuild(arguments: Arguments) -> int:
+    from slipstitch.dataset.audit.auditing import in_words, rebuild
     from slipstitch.dataset.audit.contents import read_contents
-    from slipstitch.dataset.audit.rebuild import in_words, rebuild
 
     done = rebuild(read_contents(arguments.release), arguments.rebuild)
     _tell(arguments, vars(done), in_words(done))

@@ -201,7 +201,7 @@ def _error_bars(card: dict[str, Any]) -> str:
 def evaluate(arguments: Arguments) -> None:
     """Evaluate, write, print the table."""
     from slipstitch.film.measure.measuring_bench import shipped_for
-    from slipstitch.learning.evaluation.evaluation import Outputs, write_evaluation
+    from slipstitch.learning.evaluation.evaluation import write_evaluation
     from slipstitch.learning.evaluation.metrics import test_set_lines
     from slipstitch.learning.evaluation.trained import Trained
 
@@ -221,7 +221,7 @@ def evaluate(arguments: Arguments) -> None:
     metrics = write_evaluation(
         arguments.dataset,
         trained,
-        Outputs(arguments.out, arguments.predictions, details),
+        (arguments.out, arguments.predictions, details),
         update=arguments.update,
         threads=arguments.threads,
     )

@@ -80,7 +80,7 @@ def render(arguments: Arguments) -> None:
 
 def _preview(arguments: Arguments) -> None:
     from slipstitch.base.errors import BadInput
-    from slipstitch.images.preview import preview
+    from slipstitch.images.image_shards import preview
 
     if not (arguments.out_sheet or arguments.out_video):
         raise BadInput("--preview requires --out-sheet or --out-video")

@@ -31,7 +31,7 @@ class Viewpoint:
     # True where the viewpoint exists to test networks on views they have not seen
     test_only: bool = False
     # True of a family: every bench has a camera of its own near this viewpoint, and its images are
-    # rectified into the calibrated one (`slipstitch.images.bench_camera`)
+    # rectified into the calibrated one (`slipstitch.images.calibrated_view`)
     drawn: bool = False
 
 

@@ -39,7 +39,7 @@ class AugmentationSettings(Section):
 
 
 class BenchCameraSettings(Section):
-    """Cameras of the viewpoints ``bench_1`` ... (`slipstitch.images.bench_camera`)."""
+    """Cameras of the viewpoints ``bench_1`` ... (`slipstitch.images.calibrated_view`)."""
 
     oversampling: float = Field(1.5, ge=1, le=4)
     """camera pixels per pixel of the rectified image, along each axis"""

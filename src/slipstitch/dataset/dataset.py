@@ -3,7 +3,7 @@
 import os
 from collections import defaultdict
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -13,42 +13,31 @@ from slipstitch.base.errors import BadInput
 from slipstitch.base.progress import progress
 from slipstitch.base.provenance import provenance_record, read_metadata, start_clock
 from slipstitch.config import Config
-from slipstitch.dataset.images import (
+from slipstitch.dataset.manifest import video_labels, write_manifest
+from slipstitch.dataset.probes import PIXELS, check_nothing_told
+from slipstitch.dataset.videos import (
     decode,
     pixels_digest,
     read_shard,
+    resized,
     simulations_of,
     write_frames,
 )
-from slipstitch.dataset.manifest import video_labels, write_manifest
-from slipstitch.dataset.probes import PIXELS, check_nothing_told
-from slipstitch.dataset.videos import resized
 from slipstitch.design.grid import simulations
 from slipstitch.design.interpolation import interpolations
 from slipstitch.design.sampled_frames import sampled_frames
-from slipstitch.design.splits import check_no_simulation_on_both_sides
 from slipstitch.images.camera import POSE
 from slipstitch.images.surroundings import MATTE
-
-
-@dataclass
-class _Filmed:
-    """What the shards of a simulation hold, by video or by viewpoint."""
-
-    videos: dict[str, list] = field(default_factory=dict)
-    rendered: dict[str, dict[str, Any]] = field(default_factory=dict)
-    points: dict[str, list] = field(default_factory=dict)
 
 
 def write_dataset(
     config: Config, shards: Iterable[str | os.PathLike], out_dir: str | os.PathLike
 ) -> list[dict[str, Any]]:
-    """Write ``{simulation}.parquet`` and ``manifest.parquet`` from image shards.
+    """Write ``{simulation}.parquet`` and ``manifest.parquet`` from image shards; return the rows.
 
-    BadInput if a shard is damaged, a video or frame of the grid is missing, there twice or not of
-    the grid, an image cannot be decoded or has the wrong size, no valid split exists, or something
-    without contact tells the friction coefficient (`slipstitch.dataset.probes`). Return the
-    manifest's rows.
+    BadInput if a shard or image is damaged, a video or frame of the grid is missing, there twice or
+    not of the grid, no valid split exists, or something without contact tells the coefficient
+    (`probes`).
     """
     started = start_clock()
     labels: dict[str, dict[str, dict[str, Any]]] = {one.id: {} for one in simulations(config)}
@@ -59,16 +48,12 @@ def write_dataset(
     first: list[np.ndarray] = []
     sizes: list[int] = []
     for name in progress(labels, "sample: ", unit="simulation"):
-        written, images, in_bytes = _write_simulation(
-            config, labels[name], paths_of[name], Path(out_dir)
-        )
+        of_one = (labels[name], paths_of[name])
+        written, images, in_bytes = _write_simulation(config, *of_one, Path(out_dir))
         rows += written
         first += [resized(image[None], PIXELS)[0] for image in images]
         sizes += in_bytes
     check_nothing_told(str(out_dir), rows, np.stack(first), np.array(sizes))
-    check_no_simulation_on_both_sides(
-        [row["simulation"] for row in rows], [row["split_by_simulation"] for row in rows]
-    )
     inputs = [Path(out_dir) / f"{name}.parquet" for name in labels]
     write_manifest(rows, out_dir, _record(config, inputs, started))
     return rows
@@ -103,14 +88,16 @@ def _shards_of(grid: Mapping[str, Any], shards: Iterable[str]) -> dict[str, list
 
 def _read_simulation(
     config: Config, simulation: str, labels: Mapping[str, Any], paths: list[str]
-) -> _Filmed:
-    """The sampled frames of a simulation, and what its shards say of each viewpoint."""
+) -> tuple[dict[str, list], dict[str, dict[str, Any]], dict[str, list]]:
+    """The sampled frames of a simulation's videos; look and keypoints of each viewpoint."""
     frames = sampled_frames(config.simulation.frames, config.sample.frames_kept)
     between = interpolations(config)
-    found = _Filmed()
+    videos: dict[str, list] = {}
+    looks: dict[str, dict[str, Any]] = {}
+    points: dict[str, list] = {}
     for path in paths:
         metadata = read_metadata(path)
-        floor = metadata.get("surroundings") or MATTE.record()
+        floor = metadata.get("surroundings") or asdict(MATTE)
         pose = metadata.get("pose") or dict.fromkeys(POSE, 0.0)
         for (name, texture, view), images in read_shard(path, frames).items():
             if name != simulation:
@@ -118,42 +105,35 @@ def _read_simulation(
             video = f"{name}_{texture}_{view}"
             if video not in labels:
                 raise BadInput(f"{path}: video {video!r} is not in the configured grid")
-            if video in found.videos:
+            if video in videos:
                 raise BadInput(f"{path}: video {video} is in more than one shard")
             shown = between.get((name, view))
             if metadata.get("interpolation") != (shown and asdict(shown)):
                 raise BadInput(
                     f"{path}: interpolated otherwise than configured (render.interpolation)"
                 )
-            found.videos[video] = images
-            found.rendered[view] = {
-                **{f"pose_{name}": pose[name] for name in POSE},
-                "floor": floor["floor"],
-                "floor_reflectance": floor["reflectance"],
-                "floor_roughness": floor["roughness"],
-            }
+            videos[video] = images
+            looks[view] = {f"pose_{name}": pose[name] for name in POSE}
+            looks[view] |= {f"floor_{name}": floor[name] for name in ("reflectance", "roughness")}
+            looks[view]["floor"] = floor["floor"]
             if marked := metadata.get("marked_points_m"):
-                found.points[view] = [marked[str(image.frame)] for image in images]
-    return found
+                points[view] = [marked[str(image.frame)] for image in images]
+    return videos, looks, points
 
 
 def _write_simulation(
     config: Config, labels: Mapping[str, dict[str, Any]], paths: list[str], out_dir: Path
 ) -> tuple[list[dict[str, Any]], list[np.ndarray], list[int]]:
-    """Write one simulation's frames.
-
-    Return its rows, sorted by video, their first frames and the sizes of these frames' files
-    (bytes).
-    """
+    """Write one simulation's frames; return rows, their first frames and these files' sizes."""
     started = start_clock()
     simulation = next(iter(labels.values()))["simulation"]
-    filmed = _read_simulation(config, simulation, labels, paths)
+    videos, looks, points = _read_simulation(config, simulation, labels, paths)
     rows, images, first, sizes = [], [], [], []
     for video, of_video in labels.items():
-        if video not in filmed.videos:
+        if video not in videos:
             raise BadInput(f"no images of video {video} in {', '.join(paths)}")
         pixels = []
-        for position, image in enumerate(filmed.videos[video]):
+        for position, image in enumerate(videos[video]):
             where = f"{video} frame {image.frame}"
             pixels.append(decode(image.png, where, config.render.pixels))
             images.append(
@@ -170,10 +150,10 @@ def _write_simulation(
                 }
             )
         first.append(pixels[0])
-        sizes.append(len(filmed.videos[video][0].png))
+        sizes.append(len(videos[video][0].png))
         digest = {"pixels_sha256": pixels_digest(np.stack(pixels))}
-        rows.append(of_video | filmed.rendered[of_video["viewpoint_id"]] | digest)
+        rows.append(of_video | looks[of_video["viewpoint_id"]] | digest)
     path = out_dir / f"{simulation}.parquet"
     record = _record(config, paths, started)
-    write_frames(images, path, record, {"marked_points_m": filmed.points})
+    write_frames(images, path, record, {"marked_points_m": points})
     return rows, first, sizes

@@ -17,7 +17,6 @@ from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.design.grid import films, simulations, textures, viewpoints
 from slipstitch.design.interpolation import filmed_friction, interpolations
 from slipstitch.design.splits import (
-    SIDES,
     check_no_simulation_on_both_sides,
     sides_of_simulations,
     split_by_video,
@@ -28,10 +27,9 @@ from slipstitch.images.camera import POSE
 def manifest_sides(config: Config) -> dict[str, tuple[str, str]]:
     """Every video of the grid -> its side in split_by_video and in split_by_simulation.
 
-    Videos in a test-only texture or from a test-only viewpoint are test videos by video; by
-    simulation they go with their simulation (and never train, whatever their side). Simulations of
-    a test-only fabric or friction coefficient are test simulations in both. A video on a floor of
-    the second training set has the side of the same video on its own floor.
+    Test-only textures and viewpoints test by video; by simulation they go with their simulation
+    (and never train). Simulations of a test-only fabric or coefficient test in both. A video on a
+    floor of the second training set has the side of the same video on its own floor.
     """
     grid = simulations(config)
     trained = [
@@ -61,10 +59,9 @@ def manifest_sides(config: Config) -> dict[str, tuple[str, str]]:
 
 
 def video_labels(config: Config) -> dict[str, dict[str, Any]]:
-    """Every video of the grid -> the manifest's columns that configuration and seed decide.
+    """Every video of the grid, sorted -> the manifest's columns that configuration and seed decide.
 
-    Left out are the pose of the camera, the floor and the digest of the pixels, which rendering
-    decides. Videos are sorted by their id.
+    All but the pose of the camera, the floor and the digest of the pixels.
     """
     calibrated = VIEWPOINTS["calibrated"].azimuth_deg
     catalogue = {item["id"]: item for item in textures(config) + viewpoints(config)}
@@ -101,42 +98,22 @@ def video_labels(config: Config) -> dict[str, dict[str, Any]]:
 
 MANIFEST = "manifest.parquet"
 
-MANIFEST_SCHEMA = pa.schema(
-    [
-        ("video", pa.string()),
-        ("simulation", pa.string()),
-        ("material_id", pa.string()),
-        ("friction_id", pa.string()),
-        ("replicate_id", pa.string()),
-        ("texture_id", pa.string()),
-        ("viewpoint_id", pa.string()),
-        ("material", pa.string()),
-        ("friction", pa.float64()),
-        ("interpolated", pa.bool_()),
-        ("texture", pa.string()),
-        ("viewpoint", pa.string()),
-        ("material_role", pa.string()),
-        ("friction_role", pa.string()),
-        ("texture_role", pa.string()),
-        ("viewpoint_role", pa.string()),
-        ("floor_role", pa.string()),
-        ("viewpoint_turn_deg", pa.float64()),
-        *((f"pose_{name}", pa.float64()) for name in POSE),
-        ("floor", pa.string()),
-        ("floor_reflectance", pa.float64()),
-        ("floor_roughness", pa.float64()),
-        ("split_by_video", pa.string()),
-        ("split_by_simulation", pa.string()),
-        ("frames", pa.int32()),
-        ("pixels", pa.int32()),
-        ("pixels_sha256", pa.string()),
-        ("file", pa.string()),
-    ]
+_COLUMNS = (
+    *("video", "simulation", "material_id", "friction_id", "replicate_id", "texture_id"),
+    *("viewpoint_id", "material", "friction", "interpolated", "texture", "viewpoint"),
+    *("material_role", "friction_role", "texture_role", "viewpoint_role", "floor_role"),
+    *("viewpoint_turn_deg", *(f"pose_{name}" for name in POSE)),
+    *("floor", "floor_reflectance", "floor_roughness", "split_by_video", "split_by_simulation"),
+    *("frames", "pixels", "pixels_sha256", "file"),
 )
-
-
-#: Columns that datasets of before do not have: none of their videos is interpolated.
-_LATER = ("interpolated",)
+_KINDS = {  # the others are texts
+    **{name: pa.float64() for name in _COLUMNS if name.startswith("pose_")},
+    **dict.fromkeys(("friction", "viewpoint_turn_deg"), pa.float64()),
+    **dict.fromkeys(("floor_reflectance", "floor_roughness"), pa.float64()),
+    **dict.fromkeys(("frames", "pixels"), pa.int32()),
+    "interpolated": pa.bool_(),
+}
+MANIFEST_SCHEMA = pa.schema([(name, _KINDS.get(name, pa.string())) for name in _COLUMNS])
 
 
 def dataset_digest(rows: Sequence[Mapping[str, Any]]) -> str:
@@ -157,25 +134,15 @@ def write_manifest(
 
 
 def read_manifest(dataset: str | os.PathLike) -> tuple[list[dict[str, Any]], str]:
-    """Rows and digest of the dataset in a folder.
-
-    BadInput if the manifest is missing or damaged, was altered, or its split by simulation leaks.
-    """
+    """Rows and digest of the dataset in a folder; BadInput if damaged, altered or leaking."""
     path = Path(dataset) / MANIFEST
     with open_parquet(path) as file:
         there = file.schema_arrow.names
-    absent = [name for name in _LATER if name not in there]
-    names = [name for name in MANIFEST_SCHEMA.names if name not in absent]
+    # Datasets of before have no interpolated videos.
+    names = [name for name in MANIFEST_SCHEMA.names if name in there or name != "interpolated"]
     rows = read_parquet(path, names).to_pylist()
     if not rows:
         raise BadInput(f"{path}: contains no videos")
-    for split in ("split_by_video", "split_by_simulation"):
-        for row in rows:
-            if row[split] not in SIDES:
-                raise BadInput(
-                    f"{path}: {row['video']}: {split} is {row[split]!r}, "
-                    f"allowed: {', '.join(SIDES)}"
-                )
     try:
         check_no_simulation_on_both_sides(
             [row["simulation"] for row in rows], [row["split_by_simulation"] for row in rows]

@@ -4,7 +4,7 @@ Before the cloth touches the floor nothing in a video depends on friction. A pro
 training videos and asked of the test videos; if it is right more often than chance, something else
 than contact gives the coefficient away, and every network's score may rest on that.
 
-`sample` asks the linear probes, before any training; `evaluation.probes` asks small
+`sample` asks the linear probes, before any training; `evaluation.test_sets` asks small
 networks as well, which need torch and a hundred times as long.
 """
 
@@ -48,10 +48,7 @@ def standardised(features: np.ndarray, training: np.ndarray) -> np.ndarray:
 
 
 def linear_answers(features: np.ndarray, labels: np.ndarray, sides: np.ndarray) -> np.ndarray:
-    """Classes by a ridge regression on indicators of the classes.
-
-    Return integers of shape (n,).
-    """
+    """Classes (n,) by a ridge regression on indicators of the classes."""
     train, validation = sides == "train", sides == "validation"
     known = features[train].astype(np.float64)
     targets = np.eye(labels.max() + 1)[labels[train]]
@@ -97,8 +94,7 @@ def refuse_leak(
 def probed_splits(rows: Sequence[Row]) -> tuple[str, ...]:
     """The splits and training sets in which a dataset must tell nothing.
 
-    A camera of the family ``bench_1`` ... is one simulation's own, and tells it in the split by
-    video, which the configuration therefore refuses to train with.
+    A camera of the family ``bench_1`` ... tells its simulation by video, where none may train then.
     """
     if any(of_a_family(row["viewpoint"]) for row in rows):
         return (BY_SIMULATION,)

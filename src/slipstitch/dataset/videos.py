@@ -1,24 +1,164 @@
-"""Reading the dataset: its videos in memory, every frame decoded once, as 8-bit RGB.
+"""Videos of the dataset: image shards read, files of the dataset written, videos decoded in memory.
 
-216 videos of 30 frames at 64 pixels take 80 MB; the paper's 3840 training videos 1.4 GB.
+Every frame is decoded once, as 8-bit RGB: 216 videos of 30 frames at 64 pixels take 80 MB; the
+paper's 3840 training videos 1.4 GB.
 """
 
+import hashlib
+import io
+import json
 import os
-from collections.abc import Callable, Mapping
+from collections import defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import compress
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute
 from PIL import Image
 
 from slipstitch.base.errors import BadInput, Damaged
-from slipstitch.base.provenance import read_metadata
+from slipstitch.base.provenance import check_image, read_metadata, read_parquet, write_parquet
 from slipstitch.config.train import REFLECTIVE
-from slipstitch.dataset.images import decode, pixels_digest, read_frames
 from slipstitch.dataset.manifest import read_manifest
 from slipstitch.design.sampled_frames import sampled_frames
-from slipstitch.images.keypoints import KEYPOINTS_UV
+from slipstitch.images.camera import KEYPOINTS_UV
+
+COLUMNS = ("simulation", "texture", "viewpoint", "frame", "time_s", "stage_x_m", "image")
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One rendered image as it lies in a shard; `png` is undecoded."""
+
+    frame: int
+    time_s: float
+    stage_x_m: float
+    png: bytes
+
+
+def decode(png: bytes, where: str, pixels: int | None = None) -> np.ndarray:
+    """An image file (`where`) as uint8 RGB, (pixels, pixels, 3); BadInput if it is none such."""
+    check_image(png, where)
+    try:
+        with Image.open(io.BytesIO(png)) as image:
+            mode, array = image.mode, np.asarray(image)
+    except (OSError, SyntaxError, ValueError) as error:
+        raise BadInput(f"{where}: damaged image: {error}") from None
+    side = pixels or array.shape[0]
+    if mode != "RGB" or array.shape != (side, side, 3):
+        raise BadInput(
+            f"{where}: image is {'x'.join(map(str, array.shape[1::-1]))} {mode}; must be "
+            f"{side}x{side} RGB"
+        )
+    return array
+
+
+def simulations_of(path: str | os.PathLike) -> set[str]:
+    """Ids of the simulations that a shard holds images of."""
+    names = set(read_parquet(path, ["simulation"]).column(0).to_pylist())
+    if not names:
+        raise BadInput(f"{path}: contains no images")
+    return names
+
+
+def read_shard(path: str | os.PathLike, frames: np.ndarray) -> dict[tuple[str, str, str], list]:
+    """The wanted frames of every video in a shard: (simulation, texture, viewpoint) -> `Frame`s.
+
+    BadInput if the file is damaged, a wanted frame is missing or there twice, or an image is empty.
+    """
+    table = read_parquet(path, COLUMNS)
+    wanted = set(frames.tolist())
+    videos: dict[tuple[str, str, str], dict[int, Frame]] = {}
+    for batch in table.to_batches(max_chunksize=1024):
+        for row in batch.to_pylist():
+            video = (row["simulation"], row["texture"], row["viewpoint"])
+            kept = videos.setdefault(video, {})
+            number = row["frame"]
+            if number not in wanted:
+                continue
+            if number in kept:
+                raise BadInput(f"{path}: {'_'.join(video)} has frame {number} twice")
+            png = (row["image"] or {}).get("bytes")
+            if not png:
+                raise BadInput(f"{path}: {'_'.join(video)} frame {number} has no image")
+            kept[number] = Frame(number, row["time_s"], row["stage_x_m"], png)
+    for video, kept in videos.items():
+        missing = [number for number in frames.tolist() if number not in kept]
+        if missing:
+            raise BadInput(
+                f"{path}: {'_'.join(video)} lacks frame {missing[0]} "
+                f"({len(missing)} of the {len(frames)} sampled frames missing)"
+            )
+    return {video: [kept[n] for n in frames.tolist()] for video, kept in videos.items()}
+
+
+IMAGE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+FRAMES_SCHEMA = pa.schema(
+    [
+        *((name, pa.string()) for name in ("video", "simulation", "texture", "viewpoint")),
+        *(("material", pa.string()), ("friction", pa.float64())),
+        *((name, pa.int32()) for name in ("position", "frame")),
+        *((name, pa.float64()) for name in ("time_s", "stage_x_m")),
+        ("image", IMAGE),
+    ]
+)
+
+
+def _hugging_face(schema: pa.Schema) -> pa.Schema:
+    """The schema with the metadata by which Hugging Face datasets shows `image` as images."""
+    kinds = {pa.string(): "string", pa.float64(): "float64", pa.int32(): "int32"}
+    features = {
+        field.name: {"_type": "Image"}
+        if field.type == IMAGE
+        else {"dtype": kinds[field.type], "_type": "Value"}
+        for field in schema
+    }
+    return schema.with_metadata({"huggingface": json.dumps({"info": {"features": features}})})
+
+
+#: As written: what `_hugging_face` makes of `FRAMES_SCHEMA`.
+DATASET_SCHEMA = _hugging_face(FRAMES_SCHEMA)
+
+
+def pixels_digest(video: np.ndarray) -> str:
+    """SHA-256 of a video's decoded pixels, uint8 of shape (frames, pixels, pixels, 3)."""
+    return hashlib.sha256(np.ascontiguousarray(video).tobytes()).hexdigest()
+
+
+def write_frames(
+    images: Sequence[dict[str, Any]],
+    path: str | os.PathLike,
+    record: dict[str, Any],
+    metadata: dict[str, Any] | None = None,
+) -> None:
+    """Write the images of a simulation or capture, rows as in `FRAMES_SCHEMA`."""
+    write_parquet(
+        pa.Table.from_pylist(list(images), schema=DATASET_SCHEMA),
+        path,
+        metadata or {},
+        record,
+        compression="none",  # PNG is compressed already
+    )
+
+
+def read_frames(
+    path: str | os.PathLike, video: str | None = None
+) -> Iterator[tuple[str, int, bytes]]:
+    """Give the images of a file, or of one video in it, in the order in which they were written.
+
+    Each as its video, its position in that, and the undecoded PNG, empty where there is none.
+    """
+    table = read_parquet(path, ["video", "position", "image"])
+    if video is not None:
+        table = table.filter(pyarrow.compute.field("video") == video)
+    for batch in table.to_batches(max_chunksize=256):
+        for row in batch.to_pylist():
+            yield row["video"], row["position"], (row["image"] or {}).get("bytes") or b""
+
 
 ROLES = ("material", "friction", "texture", "viewpoint", "floor")
 
@@ -30,8 +170,7 @@ class Videos:
     rows: list[dict[str, Any]]  # their rows of the manifest, n of them
     pixels: np.ndarray  # uint8, shape (n, frames, side, side, 3)
     digest: str  # digest of the whole dataset (also of the videos that are not here)
-    # Of the cloth (`slipstitch.images.keypoints`), where the dataset has them for all videos:
-    # float32, shape (n, frames, points, 3)
+    # float32 (n, frames, points, 3): keypoints of the cloth, where there are for all videos
     points_m: np.ndarray | None = None
 
     def __len__(self) -> int:
@@ -39,9 +178,8 @@ class Videos:
 
     def chosen(self, use: np.ndarray) -> "Videos":
         """Those where `use` (bool, shape (n,)) is true."""
-        rows = [row for row, one in zip(self.rows, use, strict=True) if one]
         points_m = None if self.points_m is None else self.points_m[use]
-        return Videos(rows, self.pixels[use], self.digest, points_m)
+        return Videos([*compress(self.rows, use)], self.pixels[use], self.digest, points_m)
 
     def seen_with(self, pixels: int, frames: int | None) -> "Videos":
         """With fewer frames, at regular intervals from the first, and images of another side."""
@@ -60,23 +198,12 @@ def read_videos(
     pixels: int | None = None,
     frames: int | None = None,
 ) -> Videos:
-    """Decode the chosen videos of a dataset.
+    """Decode the chosen videos of a dataset, a folder with ``manifest.parquet`` and its files.
 
-    Parameters
-    ----------
-    dataset : path
-        Folder with ``manifest.parquet`` and ``{simulation}.parquet``.
-    chosen : callable
-        Says of a manifest row whether to read its video.
-    pixels, frames : int, optional
-        Side of the images, averaged down (or blown up) to it, and number of the frames, at regular
-        intervals from the first; by default as rendered, and all.
-
-    Raises
-    ------
-    BadInput
-        If a file is missing, damaged or altered, a video has not all its frames in order, or
-        nothing is chosen. Digests of the decoded pixels are compared with the manifest's.
+    `chosen` says of a manifest row whether to read its video; `pixels` and `frames` are the side of
+    the images and the number of frames, at regular intervals from the first, by default as
+    rendered, and all. BadInput if a file is missing, damaged or altered, a video has not all its
+    frames in order, or nothing is chosen.
     """
     every, digest = read_manifest(dataset)
     rows = [row for row in every if chosen(row)]
@@ -94,29 +221,24 @@ def read_videos(
     place = {row["video"]: index for index, row in enumerate(rows)}
     for file in sorted({row["file"] for row in rows}):
         path = Path(dataset) / file
-        found: dict[str, list[np.ndarray]] = {}
+        found: dict[str, list[np.ndarray]] = defaultdict(list)
         for video, position, png in read_frames(path):
-            if video not in place:
-                continue
-            decoded = found.setdefault(video, [])
-            where = f"{path}: {video} position {position}"
-            if position != len(decoded):
-                raise BadInput(f"{where}: position {len(decoded)} expected here")
-            decoded.append(decode(png, where, rendered))
+            if video in place:
+                where = f"{path}: {video} position {position}"
+                found[video].append(decode(png, where, rendered))
         marked = read_metadata(path).get("marked_points_m", {})
-        for video in (row["video"] for row in rows if row["file"] == file):
-            row = rows[place[video]]
-            images = found.get(video, [])
-            if len(images) != stored:
-                raise BadInput(f"{path}: {video} has {len(images)} frames; must be {stored}")
-            whole = np.stack(images)
+        for video, index in place.items():
+            row = rows[index]
+            if row["file"] != file:
+                continue
+            whole = np.stack(found[video] or [np.empty((rendered, rendered, 3), np.uint8)])
             if pixels_digest(whole) != row["pixels_sha256"]:
                 raise Damaged(path, f"{video} was altered: its pixels do not match the manifest")
             seen = whole[kept]
-            array[place[video]] = seen if side == rendered else resized(seen, side)
+            array[index] = seen if side == rendered else resized(seen, side)
             if row["viewpoint_id"] in marked:
                 places = np.array(marked[row["viewpoint_id"]], np.float32)
-                points_m[place[video]] = places.reshape(stored, -1, 3)[kept]
+                points_m[index] = places.reshape(stored, -1, 3)[kept]
     return Videos(rows, array, digest, None if np.isnan(points_m).any() else points_m)
 
 

@@ -21,9 +21,8 @@ from slipstitch.base.provenance import (
     write_parquet,
     write_text,
 )
-from slipstitch.dataset.images import read_frames
 from slipstitch.dataset.manifest import MANIFEST
-from slipstitch.dataset.videos import read_videos
+from slipstitch.dataset.videos import read_frames, read_videos
 from slipstitch.film.captures_scores import (
     capture_metrics,
     label,
@@ -44,7 +43,7 @@ from slipstitch.learning.evaluation.scores import (
     predicts_material_alone,
 )
 from slipstitch.learning.evaluation.trained import Trained
-from slipstitch.learning.lrcn_model import LrcnModel
+from slipstitch.learning.lrcn import LrcnModel
 from slipstitch.learning.torch_setup import set_up_torch
 
 _TEMPLATE = Path(__file__).with_name("captures.html.j2")

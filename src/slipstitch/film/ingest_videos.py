@@ -10,9 +10,8 @@ from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import provenance_record, read_parquet, start_clock, write_parquet
 from slipstitch.config import Config
 from slipstitch.config.catalogue import fabric_names
-from slipstitch.dataset.images import pixels_digest, write_frames
 from slipstitch.dataset.manifest import dataset_digest, read_manifest, write_manifest
-from slipstitch.dataset.videos import ROLES
+from slipstitch.dataset.videos import ROLES, pixels_digest, write_frames
 from slipstitch.design.grid import material_id
 from slipstitch.film.captures_table import Capture, read_captures
 from slipstitch.film.frame_schedule import Schedule

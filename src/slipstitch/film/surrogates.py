@@ -30,9 +30,9 @@ from slipstitch.config.simulation import SimulationSettings
 from slipstitch.design.grid import simulation_seed
 from slipstitch.images.calibrated_view import viewpoint_pose
 from slipstitch.images.camera import Camera, turned
-from slipstitch.images.camera_effects import CameraEffects
 from slipstitch.images.camera_file import camera_record, write_camera_file
 from slipstitch.images.composition import compose_light, join
+from slipstitch.images.encoding import CameraEffects
 from slipstitch.images.packing import render_shadings
 from slipstitch.images.surroundings import LAMP_POSITION_M, Surroundings, draw_look, generator
 from slipstitch.images.view import Shot

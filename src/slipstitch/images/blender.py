@@ -18,7 +18,6 @@ import numpy as np
 
 from slipstitch.base.errors import SlipstitchError, first_line
 from slipstitch.images.camera import Camera
-from slipstitch.images.exr import read_exr
 from slipstitch.images.surroundings import FLOOR_M, MATTE, Surroundings
 
 #: Albedo of the cloth in the shading render, per colour channel; see `composition.separate`.
@@ -40,11 +39,9 @@ _FILL_FROM = (-0.30, -0.80, 0.52)
 class Rendering(NamedTuple):
     """The output of Blender."""
 
-    # (2, rows, columns, 3) float32: linear light that comes from the lamp, and from the dome and
-    # background: red, green, blue. The image is the sum of the two
+    # (2, rows, columns, 3) float32: linear light from the lamp, and from dome and background
     radiance: np.ndarray
-    # (rows, columns, 3) float32: means over the pixel of u, v and coverage by the cloth (u and v
-    # are 0 off the cloth)
+    # (rows, columns, 3) float32: means over the pixel of u, v (0 off the cloth) and coverage
     uv: np.ndarray
     # (rows, columns, 3) float32: the part of the image reflected by the floor, if reflective
     glossy: np.ndarray | None
@@ -149,22 +146,28 @@ class ClothScene:
         # Reached by scattered rays only: aiming at it would add a choice between lights.
         world.cycles.sampling_method = "NONE"
 
+    @staticmethod
+    def _calculate(tree, kind: str, operation: str, *values):
+        """Add a node that calculates with numbers and other nodes' outputs; its output."""
+        node = tree.nodes.new(f"ShaderNode{kind}")
+        node.operation = operation
+        for socket, value in zip(node.inputs, values, strict=False):
+            if isinstance(value, float | tuple):
+                socket.default_value = value
+            else:
+                tree.links.new(value, socket)
+        return node.outputs["Value"]
+
     def _light_dome(self, tree) -> None:
         nodes, link = tree.nodes, tree.links.new
         direction = nodes.new("ShaderNodeTexCoord").outputs["Generated"]
-        towards = nodes.new("ShaderNodeVectorMath")
-        towards.operation = "DOT_PRODUCT"
-        towards.inputs[1].default_value = _FILL_FROM
-        link(direction, towards.inputs[0])
-        fill = nodes.new("ShaderNodeMath")
-        fill.operation = "MULTIPLY_ADD"
-        fill.inputs[1].default_value = _FILL_RADIANCE * _FILL_GRADIENT
-        fill.inputs[2].default_value = _FILL_RADIANCE
-        link(towards.outputs["Value"], fill.inputs[0])
+        towards = self._calculate(tree, "VectorMath", "DOT_PRODUCT", direction, _FILL_FROM)
+        gradient = _FILL_RADIANCE * _FILL_GRADIENT
+        fill = self._calculate(tree, "Math", "MULTIPLY_ADD", towards, gradient, _FILL_RADIANCE)
         seen = nodes.new("ShaderNodeMix")
         seen.data_type = "FLOAT"
         link(nodes.new("ShaderNodeLightPath").outputs["Is Camera Ray"], seen.inputs["Factor"])
-        link(fill.outputs["Value"], seen.inputs[2])
+        link(fill, seen.inputs[2])
         seen.inputs[3].default_value = _BACKGROUND_RADIANCE
         background = nodes["Background"]
         background.inputs["Color"].default_value = (1, 1, 1, 1)
@@ -204,25 +207,15 @@ class ClothScene:
         output = next(node for node in nodes if node.type == "OUTPUT_MATERIAL")
 
         def calculate(operation: str, first, second):
-            node = nodes.new("ShaderNodeMath")
-            node.operation = operation
-            for socket, value in zip(node.inputs, (first, second), strict=False):
-                if isinstance(value, float):
-                    socket.default_value = value
-                else:
-                    link(value, socket)
-            return node.outputs["Value"]
+            return self._calculate(tree, "Math", operation, first, second)
 
         # Schlick: F = F0 + (1 - F0) (1 - cos)^5.
-        geometry = nodes.new("ShaderNodeNewGeometry")
-        cosine = nodes.new("ShaderNodeVectorMath")
-        cosine.operation = "DOT_PRODUCT"
-        link(geometry.outputs["Incoming"], cosine.inputs[0])
-        link(geometry.outputs["True Normal"], cosine.inputs[1])
-        grazing = calculate("SUBTRACT", 1.0, calculate("ABSOLUTE", cosine.outputs["Value"], 0.0))
-        fresnel = calculate(
-            "ADD", calculate("MULTIPLY", calculate("POWER", grazing, 5.0), 1 - normal), normal
-        )
+        sides = nodes.new("ShaderNodeNewGeometry").outputs
+        sides = (sides["Incoming"], sides["True Normal"])
+        cosine = self._calculate(tree, "VectorMath", "DOT_PRODUCT", *sides)
+        grazing = calculate("SUBTRACT", 1.0, calculate("ABSOLUTE", cosine, 0.0))
+        grazing = calculate("MULTIPLY", calculate("POWER", grazing, 5.0), 1 - normal)
+        fresnel = calculate("ADD", grazing, normal)
         mirror = nodes.new("ShaderNodeBsdfAnisotropic")
         mirror.distribution = "GGX"
         mirror.inputs["Color"].default_value = (1, 1, 1, 1)
@@ -294,17 +287,9 @@ class ClothScene:
     ) -> Rendering:
         """Render the cloth with these vertices (V, 3) through this camera, at its resolution.
 
-        Parameters
-        ----------
-        samples : int
-            Paths per pixel: the first through its centre, the others spread evenly over the pixel.
-        seed : int
-            Of the path tracer's samples.
-
-        Raises
-        ------
-        SlipstitchError
-            If Blender could not write the image, as on a full disk.
+        `samples` are paths per pixel: the first through its centre, the others spread evenly; the
+        seed is the path tracer's. SlipstitchError if Blender could not write the image, as on a
+        full disk.
         """
         self._mesh.vertices.foreach_set("co", np.asarray(positions_m, dtype=np.float32).ravel())
         self._mesh.update()
@@ -312,7 +297,9 @@ class ClothScene:
         cycles = self._scene.cycles
         cycles.samples = samples
         cycles.seed = seed
-        with tempfile.TemporaryDirectory(prefix="slipstitch-", dir=_scratch()) as folder:
+        # In memory where it can be: the frames that pass through it are read at once.
+        memory = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
+        with tempfile.TemporaryDirectory(prefix="slipstitch-", dir=memory) as folder:
             path = Path(folder) / "frame.exr"
             self._scene.render.filepath = str(path)
             with _silent_stdout():
@@ -359,6 +346,50 @@ class ClothScene:
         self._camera.matrix_world = Matrix(world.tolist())
 
 
-def _scratch() -> str | None:
-    """A folder in memory where there is one: the frames that pass through it are read at once."""
-    return "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
+def read_exr(path: str | os.PathLike) -> dict[str, np.ndarray]:
+    """Channels of an uncompressed OpenEXR file of Blender, by name, each float32 (height, width).
+
+    Blender has no other way to hand its float buffers over without a window: one part, scan lines,
+    32-bit floats ("OpenEXR File Layout", version 2). ValueError for another kind of file.
+    """
+    with open(path, "rb") as stream:
+        data = stream.read()
+    magic, version = struct.unpack_from("<II", data, 0)
+    if magic != 20000630 or version & 0xFF != 2 or version & 0x1A00:
+        raise ValueError(f"{path}: not a single-part scan-line OpenEXR file")
+    header, offset = _header(data, 8)
+    if header["compression"] != b"\0":
+        raise ValueError(f"{path}: compressed")
+    left, top, right, bottom = struct.unpack("<4i", header["dataWindow"])
+    width, height = right - left + 1, bottom - top + 1
+    names = _channels(header["channels"], path)
+    # After the offset table come the lines in order: y, size, then every channel's row.
+    offset += 8 * height
+    line = 8 + 4 * width * len(names)
+    rows = np.frombuffer(data, "<f4", height * line // 4, offset).reshape(height, line // 4)
+    pixels = rows[:, 2:].reshape(height, len(names), width)
+    return {name: pixels[:, k] for k, name in enumerate(names)}
+
+
+def _header(data: bytes, offset: int) -> tuple[dict[str, bytes], int]:
+    attributes = {}
+    while data[offset]:
+        end = data.index(0, offset)
+        name = data[offset:end].decode()
+        offset = data.index(0, end + 1) + 1  # past the name of the type
+        (size,) = struct.unpack_from("<I", data, offset)
+        attributes[name] = data[offset + 4 : offset + 4 + size]
+        offset += 4 + size
+    return attributes, offset + 1
+
+
+def _channels(listing: bytes, path: str | os.PathLike) -> list[str]:
+    names, offset = [], 0
+    while listing[offset]:
+        end = listing.index(0, offset)
+        kind, _, x_sampling, y_sampling = struct.unpack_from("<iIii", listing, end + 1)
+        if (kind, x_sampling, y_sampling) != (2, 1, 1):
+            raise ValueError(f"{path}: channel {listing[offset:end].decode()} is not 32-bit float")
+        names.append(listing[offset:end].decode())
+        offset = end + 17
+    return names

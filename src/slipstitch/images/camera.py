@@ -1,4 +1,4 @@
-"""Cameras in OpenCV's convention: where they stand, and what they see where.
+"""Cameras in OpenCV's convention: where they stand, and what they see where; the cloth's keypoints.
 
 A viewpoint is a camera that stands still on the bench. Rendered images come from pinholes; a real
 camera has a lens that distorts. The distortion is taken out of real images, never put into rendered
@@ -100,10 +100,7 @@ def pose(viewpoint: Viewpoint) -> Pose:
 
 
 def turned(rotation: np.ndarray, translation_m: np.ndarray, turn_deg: float) -> Pose:
-    """A camera's pose after walking round the vertical through `AIM_M`.
-
-    `turn_deg` is by how much its azimuth grows, see `Viewpoint.azimuth_deg`.
-    """
+    """A camera's pose after walking round `AIM_M`, by how much its azimuth grows."""
     turn = math.radians(turn_deg)
     # The camera walks clockwise seen from above; the world, as it sees it, turns the other way.
     about = np.array(
@@ -143,3 +140,22 @@ def _spherical(
         distance,
         math.degrees(math.atan2(up[0], -up[1])),
     )
+
+
+#: Texture coordinates of the keypoints: three rows below the clamps, three points each.
+KEYPOINTS_UV = np.array([(u, v) for v in (1 / 3, 2 / 3, 1.0) for u in (0.0, 0.5, 1.0)])
+
+
+def _nearest(uv: np.ndarray) -> np.ndarray:
+    """Numbers of the vertices (V, 2) nearest to `KEYPOINTS_UV`, shape (9,)."""
+    return np.linalg.norm(uv[None] - KEYPOINTS_UV[:, None], axis=2).argmin(axis=1)
+
+
+def keypoints_m(positions_m: np.ndarray, uv: np.ndarray, stage_x_m: np.ndarray) -> np.ndarray:
+    """Places (T, 9, 3) of the vertices nearest to `KEYPOINTS_UV`, of vertices (T, V, 3).
+
+    Metres along the track relative to the clamps `stage_x_m` (T,), across it, above the floor.
+    """
+    places = positions_m[:, _nearest(uv)].astype(np.float64)
+    places[..., 0] -= stage_x_m[:, None]
+    return places

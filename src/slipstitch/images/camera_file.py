@@ -78,14 +78,7 @@ def write_camera_file(path: str | os.PathLike, content: Mapping[str, Any]) -> No
 
 
 def read_camera_file(path: str | os.PathLike) -> Camera:
-    """A camera that can be rendered from.
-
-    Raises
-    ------
-    BadInput
-        If the file is missing, no camera file, or does not say where the camera stands, or a place
-        that no camera of a bench has.
-    """
+    """A camera that can be rendered from; BadInput if the file does not say where it stands."""
     content = _content(path)
     if content.get("format") != FORMAT and _value(content, _MATRIX) is not None:
         raise BadInput(
@@ -147,12 +140,8 @@ def read_foreign_lens(path: str | os.PathLike) -> Lens:
     """Return the lens in a calibration that another program wrote.
 
     YAML or XML of OpenCV's FileStorage, ROS camera_info (a file or a printed message), or JSON with
-    the arrays that calibrateCamera returns and the size of the image.
-
-    Raises
-    ------
-    BadInput
-        If the file is none of these, or has a lens of another model.
+    the arrays of calibrateCamera and the image's size. BadInput if it is none, or of another lens
+    model.
     """
     content = _content(path)
     matrix = _foreign_numbers(path, content, _MATRIX, "camera_matrix")

@@ -14,9 +14,8 @@ import cv2
 import numpy as np
 import warp as wp
 
-from slipstitch.images.blur import blur_weights, blurred
 from slipstitch.images.encoding import encode_srgb
-from slipstitch.images.reflection import GGX, MirroredSight
+from slipstitch.images.reflection import GGX, MirroredSight, blur_weights, blurred
 from slipstitch.images.shading import LIGHT_OVERSAMPLING, Shading, Sight
 from slipstitch.images.textures import KEPT, TEXELS, texture
 from slipstitch.images.visibility import warp_array
@@ -46,9 +45,7 @@ class Layers:
     """One frame, ready to be composed with any texture."""
 
     pixels: int  # side of the image
-    # (3, pixels^2): scene, first- and second-order light of what is not cloth, averaged over each
-    # pixel
-    still: np.ndarray
+    still: np.ndarray  # (3, pixels^2): `Shading.still`
     pixel: np.ndarray  # (N,) int: pixel of each ray that meets the cloth, rising
     uv: np.ndarray  # (N, 2): where on the cloth
     # (3, N): scene, first- and second-order light there, divided by the rays per pixel
@@ -174,10 +171,7 @@ def _mirrored_rays(sight: MirroredSight) -> MirroredRays:
 
 
 def _mirrored_albedo(rays: MirroredRays, texel: wp.array, texels: np.ndarray) -> np.ndarray:
-    """Mean albedo (pixels, pixels, 3) of the cloth reflected in each floor pixel.
-
-    By the number of each ray's texel, of texels (M, 3).
-    """
+    """Mean albedo (pixels, pixels, 3) of the cloth reflected in each floor pixel."""
     image = np.zeros((*rays.count.shape[:2], 3), np.float32)
     inputs = [warp_array(rays.starts, wp.int32), texel, warp_array(texels, wp.vec3)]
     flat = warp_array(image.reshape(-1, 3), wp.vec3)

@@ -1,7 +1,17 @@
-"""8-bit images: linear light to sRGB and back, PNG. Loads neither Blender nor kernels."""
+"""From linear light to 8-bit images: sRGB, PNG, and what a camera does to the light.
+
+Camera effects are what networks must be invariant to: seeded, drawn once per video. In the order of
+a camera: exposure and colour cast scale the light; the sensor adds shot and read noise; the image
+is encoded, and compressed. Loads neither Blender nor kernels.
+"""
+
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
+
+from slipstitch.config.render import AugmentationSettings
+from slipstitch.images.surroundings import drawn_by, generator
 
 
 def encode_srgb(linear: np.ndarray) -> np.ndarray:
@@ -35,3 +45,64 @@ def encode_png(image: np.ndarray) -> bytes:
     if not good:
         raise RuntimeError("OpenCV could not encode a PNG")
     return data.tobytes()
+
+
+# The read noise of a sensor, as a share of the shot noise at full white.
+_READ_NOISE = 0.1
+
+
+@dataclass(frozen=True)
+class CameraEffects:
+    """What one video's camera does to the light."""
+
+    exposure_stops: float = 0.0
+    # factors of the light; green stays
+    red: float = 1.0
+    blue: float = 1.0
+    noise: float = 0.0  # standard deviation of the noise at full white, in linear light
+    jpeg_quality: int = 100  # 100 for images that are not compressed
+
+    def light(self, linear: np.ndarray) -> np.ndarray:
+        """Linear light (..., 3) as this camera exposes it."""
+        if (self.exposure_stops, self.red, self.blue) == (0.0, 1.0, 1.0):
+            return linear
+        return linear * (2**self.exposure_stops * np.array([self.red, 1.0, self.blue]))
+
+    def photograph(self, linear: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        """The image (H, W, 3) uint8 that this camera makes of linear light (H, W, 3)."""
+        linear = self.light(linear)
+        if self.noise > 0:
+            # Photons are counted: their variance is in proportion to the light.
+            spread = np.sqrt(np.clip(linear, 0, None) + _READ_NOISE**2)
+            linear = linear + self.noise * spread * rng.standard_normal(linear.shape)
+        image = encode_srgb(linear)
+        if self.jpeg_quality == 100:
+            return image
+        quality = [cv2.IMWRITE_JPEG_QUALITY, self.jpeg_quality]
+        good, data = cv2.imencode(".jpg", image[..., ::-1], quality)
+        if not good:
+            raise RuntimeError("OpenCV could not encode a JPEG")
+        return np.ascontiguousarray(cv2.imdecode(data, cv2.IMREAD_COLOR)[..., ::-1])
+
+
+def draw_camera_effects(
+    settings: AugmentationSettings, seed: int, simulation: str, texture: str, viewpoint: str
+) -> CameraEffects:
+    """The camera of one video: by its bench (`drawn_by`), texture and viewpoint."""
+    rng = generator(seed, drawn_by(simulation, viewpoint), texture, viewpoint, "augmentation")
+    exposure, red, blue = rng.uniform(-1, 1, 3)
+    noise, compression = rng.uniform(0, 1, 2)
+    return CameraEffects(
+        float(exposure * settings.exposure_stops),
+        float(1 + red * settings.colour_cast),
+        float(1 + blue * settings.colour_cast),
+        float(noise * settings.noise),
+        round(100 - compression * (100 - settings.jpeg_quality)),
+    )
+
+
+def pixel_noise(
+    seed: int, simulation: str, texture: str, viewpoint: str, frame: int
+) -> np.random.Generator:
+    """The random numbers of one image's noise, the same for all videos of a bench."""
+    return generator(seed, drawn_by(simulation, viewpoint), texture, viewpoint, str(frame))

@@ -1,19 +1,30 @@
-"""From the light of a simulation from one viewpoint to its image shard: textures and cameras."""
+"""Image shards: composed from the light of a simulation from one viewpoint, read, and previewed."""
 
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
+from fractions import Fraction
 from pathlib import Path
 
+import av
 import cv2
 import numpy as np
 import pyarrow as pa
 
-from slipstitch.base.provenance import parquet_stream, provenance_record, read_metadata, start_clock
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import (
+    check_image,
+    parquet_stream,
+    provenance_record,
+    read_metadata,
+    read_parquet,
+    recorded_path,
+    start_clock,
+)
 from slipstitch.config import Config
+from slipstitch.images.camera import keypoints_m
 from slipstitch.images.composition import compose_light, join
 from slipstitch.images.encoding import encode_png
-from slipstitch.images.keypoints import keypoints_m
 from slipstitch.images.packing import Pack, read_pack, shade
 from slipstitch.images.textures import texture_file
 from slipstitch.images.view import Shot, View
@@ -21,12 +32,9 @@ from slipstitch.physics.simulation.trajectory import Trajectory
 
 SCHEMA = pa.schema(
     [
-        ("simulation", pa.string()),
-        ("texture", pa.string()),
-        ("viewpoint", pa.string()),
+        *((name, pa.string()) for name in ("simulation", "texture", "viewpoint")),
         ("frame", pa.int32()),
-        ("time_s", pa.float64()),
-        ("stage_x_m", pa.float64()),
+        *((name, pa.float64()) for name in ("time_s", "stage_x_m")),
         ("image", pa.struct([("bytes", pa.binary()), ("path", pa.string())])),
     ]
 )
@@ -53,24 +61,10 @@ def render_shard(
 ) -> dict:
     """Make the image shard of one simulation from one viewpoint, with every texture.
 
-    Parameters
-    ----------
-    out : path
-        Parquet file, one row per image; written whole or not at all.
-    pack_path : path, optional
-        Take the light from this file, instead of rendering it in Blender; the pixels are the same.
-    progress : callable
-        Wraps the list of frames, to show how far rendering is.
-
-    Returns
-    -------
-    dict
-        Number of frames, images, and the smallest share of the cloth's vertices in an image.
-
-    Raises
-    ------
-    BadInput
-        If the trajectory, the pack or a texture cannot be used.
+    The light is taken from the file `pack_path` or, by default, rendered in Blender; the pixels are
+    the same. `progress` wraps the list of frames. Returns the numbers of frames and images, and the
+    smallest share of the cloth's vertices in an image. BadInput if the trajectory, the pack or a
+    texture cannot be used.
     """
     started = start_clock()
     cv2.setNumThreads(1)
@@ -108,11 +102,7 @@ def render_shards_from_packs(
 ) -> Iterator[tuple[Path, dict]]:
     """Make the image shards of one simulation without Blender, from the light of its viewpoints.
 
-    Returns
-    -------
-    iterator of (path, dict)
-        Each shard, named as its pack, when it is written; what `render_shard` returns, and
-        ``viewpoint``, by name.
+    Gives each, named as its pack, with what `render_shard` returns, and ``viewpoint``, by name.
     """
     for pack_path in pack_paths:
         try:
@@ -123,12 +113,6 @@ def render_shards_from_packs(
         out = folder / pack_path.name
         done = render_shard(view, out, pack_path=pack_path)
         yield out, done | {"viewpoint": view.viewpoint}
-
-
-def keypoints_record(trajectory: Trajectory, wanted: list[Shot]) -> dict[str, list[float]]:
-    """Frame -> places of the cloth's keypoints, 27 numbers to 0.01 mm."""
-    points_m = keypoints_m(trajectory.positions_m, trajectory.uv, trajectory.stage_x_m)
-    return {str(shot.frame): points_m[shot.row].ravel().round(5).tolist() for shot in wanted}
 
 
 def _row(view: View, trajectory: Trajectory, shot: Shot, texture: str, image: np.ndarray) -> dict:
@@ -149,25 +133,122 @@ def _description(
 ) -> tuple[dict, dict]:
     """Metadata and provenance of the shard."""
     effects = view.camera_effects()
+    points_m = keypoints_m(trajectory.positions_m, trajectory.uv, trajectory.stage_x_m)
+    points_m = points_m.reshape(len(points_m), -1).round(5)  # of each frame 27 numbers
     metadata = pack.metadata | {
         "viewpoint": {"id": view.viewpoint_id, "name": view.viewpoint},
         "textures": dict(view.textures),
         "augmentation": {identity: asdict(one) for identity, one in effects.items()},
         "pose": view.rectifier(trajectory).pose(pack.shots[0].camera),
-        "marked_points_m": keypoints_record(trajectory, pack.shots),
+        "marked_points_m": {str(shot.frame): points_m[shot.row].tolist() for shot in pack.shots},
     }
-    record = provenance_record(
-        "render",
-        inputs=[*view.inputs(), *files],
-        config={
-            "render": view.settings.model_dump(
-                mode="json", exclude={"verified_images", view.other_floors}
-            ),
-            "sample": {"frames": view.frames_sampled},
-            "viewpoint": view.viewpoint,
-            "catalogue": view.catalogue_entries(view.textures.values()),
-        },
-        seed=view.seed,
-        started=started,
-    )
+    unused = {"verified_images": True}
+    record = view.record("render", started, unused, files, view.textures.values())
     return metadata, record
+
+
+_SHEET_COLUMNS = 9
+_SECONDS = 12.0
+_SMALLEST_VIDEO_PX = 224
+_GAP = 2
+
+
+def read_images(path: str | os.PathLike) -> dict[tuple[str, str, str], dict[int, bytes]]:
+    """PNG files of a shard: (simulation, texture, viewpoint) -> frame -> bytes; else BadInput."""
+    table = read_parquet(path, SCHEMA.names)
+    videos: dict[tuple[str, str, str], dict[int, bytes]] = {}
+    for row in table.to_pylist():
+        key = (row["simulation"], row["texture"], row["viewpoint"])
+        videos.setdefault(key, {})[row["frame"]] = row["image"]["bytes"]
+    return videos
+
+
+def decode_image(data: bytes, where: str) -> np.ndarray:
+    """An image file's content, blue first (H, W, 3) uint8; BadInput if it is damaged."""
+    check_image(data, where)
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
+    if image is None:
+        raise BadInput(f"{where}: an image cannot be decoded")
+    return image
+
+
+def preview(
+    shards: Sequence[str | os.PathLike],
+    sheet: str | os.PathLike | None = None,
+    video: str | os.PathLike | None = None,
+) -> None:
+    """Make a contact sheet and a video of image shards, usually all viewpoints of a simulation.
+
+    Shown are the frames that all shards have. `sheet` (PNG) has for every viewpoint a row of the
+    first texture through time, then, at one time, all textures; `video` (MP4) the viewpoints side
+    by side. BadInput if a shard cannot be read or the shards have no frame in common.
+    """
+    started = start_clock()
+    videos = {}
+    for path in shards:
+        for key, frames in read_images(path).items():
+            if key in videos:
+                raise BadInput(f"{path}: holds {'_'.join(key)}, which is also in another shard")
+            videos[key] = {number: (data, path) for number, data in frames.items()}
+    numbers = [set(frames) for frames in videos.values()]
+    common = sorted(set.intersection(*numbers)) if numbers else []
+    if not common:
+        raise BadInput(f"no common frame in {', '.join(map(str, shards))}")
+    textures: dict[tuple[str, str], list[str]] = {}
+    for simulation, texture, view in sorted(videos):
+        textures.setdefault((simulation, view), []).append(texture)
+
+    def image(simulation: str, texture: str, view: str, number: int) -> np.ndarray:
+        data, path = videos[simulation, texture, view][number]
+        return decode_image(data, f"{path}: {simulation}_{texture}_{view} frame {number}")
+
+    record = provenance_record("render", inputs=shards, started=started)
+    if sheet is not None:
+        places = np.linspace(0, len(common) - 1, min(_SHEET_COLUMNS, len(common)))
+        times = [common[k] for k in sorted({*places.round().astype(int).tolist()})]
+        middle = common[len(common) // 2]
+        rows = [[image(s, all_[0], v, n) for n in times] for (s, v), all_ in textures.items()]
+        for (s, v), all_ in textures.items():
+            for k in range(0, len(all_) if len(all_) > 1 else 0, _SHEET_COLUMNS):
+                rows.append([image(s, t, v, middle) for t in all_[k : k + _SHEET_COLUMNS]])
+        with recorded_path(sheet, record) as temporary:
+            temporary.write_bytes(cv2.imencode(".png", _tile(rows))[1].tobytes())
+    if video is not None:
+        pictures = (
+            _tile([[image(s, all_[0], v, n) for (s, v), all_ in textures.items()]]) for n in common
+        )
+        with recorded_path(video, record) as temporary:
+            _write_video(temporary, pictures, rate_hz=max(1.0, len(common) / _SECONDS))
+
+
+def _tile(rows: list[list[np.ndarray]]) -> np.ndarray:
+    """Images in a grid with a thin gap, all at the size of the largest."""
+    side = max(image.shape[0] for row in rows for image in row)
+    wide = max(len(row) for row in rows)
+    canvas = np.full(
+        (len(rows) * (side + _GAP) - _GAP, wide * (side + _GAP) - _GAP, 3), 255, dtype=np.uint8
+    )
+    for i, row in enumerate(rows):
+        for j, image in enumerate(row):
+            if image.shape[0] != side:
+                image = cv2.resize(image, (side, side), interpolation=cv2.INTER_CUBIC)
+            y, x = i * (side + _GAP), j * (side + _GAP)
+            canvas[y : y + side, x : x + side] = image
+    return canvas
+
+
+def _write_video(path: Path, pictures, rate_hz: float) -> None:
+    """H.264, which browsers play; OpenCV writes MPEG-4 Part 2 only, which they do not."""
+    with av.open(str(path), "w", format="mp4", options={"movflags": "+faststart"}) as container:
+        rate = Fraction(rate_hz).limit_denominator(1000)
+        stream = container.add_stream("libx264", rate=rate, options={"threads": "1"})
+        stream.pix_fmt = "yuv420p"
+        for picture in pictures:
+            scale = max(1, -(-_SMALLEST_VIDEO_PX // picture.shape[0]))
+            picture = np.kron(picture, np.ones((scale, scale, 1), np.uint8))
+            # The codec needs even sides.
+            picture = picture[: picture.shape[0] // 2 * 2, : picture.shape[1] // 2 * 2]
+            if not stream.codec_context.is_open:
+                stream.height, stream.width = picture.shape[:2]
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(picture, format="bgr24")))
+        container.mux(stream.encode())

@@ -17,7 +17,6 @@ from slipstitch.base.provenance import (
     file_digest,
     open_parquet,
     parquet_stream,
-    provenance_record,
     read_metadata,
     start_clock,
 )
@@ -31,9 +30,7 @@ _SCHEMA = pa.schema(
     [
         ("frame", pa.int32()),
         ("window", pa.list_(pa.int32())),
-        ("still", pa.binary()),
-        ("cloth", pa.binary()),
-        ("mirrored", pa.binary()),
+        *((name, pa.binary()) for name in ("still", "cloth", "mirrored")),
     ]
 )
 # What is mirrored has one scattering more to resolve.
@@ -99,7 +96,7 @@ def shade(view: View, trajectory: Trajectory, progress=iter) -> Pack:
         "simulation": view.simulation,
         "viewpoint": {"id": view.viewpoint_id, "name": view.viewpoint},
         "camera": camera_record(wanted, view.bench_camera),
-        "surroundings": surroundings.record(),
+        "surroundings": asdict(surroundings),
         "smallest_share_of_cloth_in_image": min(shot.share_in_image(trajectory) for shot in wanted),
         "trajectory_sha256": _digests(view),
         "interpolation": view.interpolation and asdict(view.interpolation),
@@ -116,47 +113,20 @@ def write_pack(view: View, out: str | os.PathLike, progress=iter) -> Pack:
     with parquet_stream(out, _SCHEMA) as stream:
         for shot, packed in zip(pack.shots, pack.shadings, strict=True):
             stream.write([{"frame": shot.frame, **packed}])
-        stream.describe(pack.metadata, _pack_record(view, started))
+        stream.describe(pack.metadata, view.record("render.packing", started, _UNUSED))
     return pack
 
 
-def _pack_record(view: View, started: tuple[float, float]) -> dict:
-    # What the light does not depend on.
-    unused: dict = dict.fromkeys(
-        (
-            "textures",
-            "test_textures",
-            "viewpoints",
-            "test_viewpoints",
-            "test_viewpoint_videos",
-            "verified_images",
-            view.other_floors,
-        ),
-        True,
-    )
-    unused["augmentation"] = {"exposure_stops", "colour_cast", "noise", "jpeg_quality"}
-    return provenance_record(
-        "render.packing",
-        inputs=view.inputs(),
-        config={
-            "render": view.settings.model_dump(mode="json", exclude=unused),
-            "sample": {"frames": view.frames_sampled},
-            "viewpoint": view.viewpoint,
-            "catalogue": view.catalogue_entries(),
-        },
-        seed=view.seed,
-        started=started,
-    )
+# What the light does not depend on.
+_UNUSED = {
+    **dict.fromkeys(("textures", "test_textures", "viewpoints", "test_viewpoints"), True),
+    **dict.fromkeys(("test_viewpoint_videos", "verified_images"), True),
+    "augmentation": {"exposure_stops", "colour_cast", "noise", "jpeg_quality"},
+}
 
 
 def read_pack(path: str | os.PathLike, view: View, trajectory: Trajectory) -> Pack:
-    """Read what `write_pack` wrote of a view and its trajectory.
-
-    Raises
-    ------
-    BadInput
-        If the file is missing, damaged, no shading pack, or of another trajectory.
-    """
+    """Read what `write_pack` wrote of a view and its trajectory; BadInput if it is none."""
     with open_parquet(path) as file:
         metadata = read_metadata(file.schema_arrow)
         if file.schema_arrow.names != _SCHEMA.names or "surroundings" not in metadata:

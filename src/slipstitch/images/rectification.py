@@ -40,8 +40,7 @@ PROFILE = (
 def lags_m(stage_x_m: np.ndarray, stage_z_m: np.ndarray, length_m: float) -> np.ndarray:
     """Place of the lower edge relative to the clamps, shape (T,): it stays until it is pulled.
 
-    From the clamps' places (T,) along the track and above the floor, from the start of the motion
-    on, in steps much shorter than the reach, and the cloth's length.
+    Of clamps at (T,) along the track and above the floor, in steps much shorter than the reach.
     """
     reach = LAG * np.sqrt(np.maximum(length_m**2 - stage_z_m**2, 0.0))
     edge, found = float(stage_x_m[0]), np.empty(len(stage_x_m))
@@ -55,8 +54,7 @@ def lags_m(stage_x_m: np.ndarray, stage_z_m: np.ndarray, length_m: float) -> np.
 class MeanCloth:
     """The profile at a moment, drawn out across the track, and the floor around it.
 
-    It goes on beside the cloth: the floor behind, which another camera sees elsewhere or not at
-    all, would break the image there.
+    Beside the cloth too: the floor behind, which others see elsewhere, would break the image there.
     """
 
     # place of the clamps
@@ -125,11 +123,7 @@ def _depth(eye: np.ndarray, rays: np.ndarray, normal: np.ndarray, offset: float)
 
 
 def in_stage_plane(crop: Camera, sideways_m: np.ndarray, height_m: np.ndarray) -> np.ndarray:
-    """Points (..., 3) of the upright plane through the clamps at the stage's start.
-
-    By their places sideways from the middle between the clamps and above the floor; across the
-    track, or along it for a camera that looks across the track.
-    """
+    """Points (..., 3) of the upright plane through the clamps' start, by place and height."""
     along = np.array([0.0, 1.0, 0.0] if across_the_track(crop) else [-1.0, 0.0, 0.0])
     return sideways_m[..., None] * along + height_m[..., None] * [0, 0, 1.0]
 
@@ -137,18 +131,10 @@ def in_stage_plane(crop: Camera, sideways_m: np.ndarray, height_m: np.ndarray) -
 def source_pixels(
     lens: Camera, crop: Camera, surface: Surface, along: np.ndarray | None = None
 ) -> np.ndarray:
-    """Position in the real image of each pixel of a crop, (n, n, 2) float64.
+    """Position in the real image (`lens`) of each pixel of a crop, (n, n, 2) float64.
 
-    NaN where the crop looks past the surface or the real camera cannot see it.
-
-    Parameters
-    ----------
-    lens, crop : Camera
-        The real camera; the one cut from the calibrated viewpoint.
-    surface : Surface
-        What the crop's pixels are taken to show.
-    along : ndarray (n,), optional
-        Places along either side of the crop; the pixels' centres by default.
+    The crop's pixels, by default their centres, else places `along` (n,) either side, are taken to
+    show the surface. NaN where the crop looks past it or the real camera cannot see it.
     """
     along = np.arange(crop.pixels) if along is None else along
     size = len(along)
@@ -166,12 +152,7 @@ def source_pixels(
 
 
 def fine_source_pixels(lens: Camera, crop: Camera, surface: Surface) -> np.ndarray:
-    """`source_pixels`, so close together that no pixel of the real image is jumped over.
-
-    Returns
-    -------
-    ndarray (rays pixels, rays pixels, 2) float32
-    """
+    """`source_pixels`, (rays pixels, rays pixels, 2) float32: no real pixel is jumped over."""
     rays = _rays_per_side(lens, crop, surface)
     # Between the corners of a pixel the place is as good as linear.
     corners = source_pixels(lens, crop, surface, np.arange(crop.pixels + 1) - 0.5)
@@ -184,8 +165,7 @@ def rectify(
 ) -> tuple[np.ndarray, float]:
     """The crop, each pixel the mean of the light that falls on it, and its share in the image.
 
-    Of a real image (rows, columns, 3) uint8, sRGB, in any order of colours. Beyond the image its
-    border is repeated; the crop is black where it looks past the surface.
+    The real image is sRGB, uint8; its border is repeated. Black is past the surface.
     """
     return resample(image, fine_source_pixels(lens, crop, surface), crop.pixels)
 
@@ -219,8 +199,7 @@ def in_image(place: np.ndarray, columns: int, rows: int) -> np.ndarray:
 def bounds(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Least and largest x and y, shape (2,) each, of pixels (..., 2).
 
-    One coordinate at a time: over all axes but a last one of length 2, NumPy takes 30 times
-    as long.
+    One at a time: over all axes but a last one of length 2, NumPy takes 30 times as long.
     """
     x, y = place[..., 0], place[..., 1]
     return np.array([x.min(), y.min()]), np.array([x.max(), y.max()])

@@ -5,7 +5,8 @@ floor of roughness r has slopes t about either axis of the GGX distribution (Wal
 with the parameter r^2. A point that lies d behind the floor along the mirrored ray is moved by
 2 t d along the plane of incidence and 2 t d cos(angle of incidence) across it. GGX has long tails:
 a tenth of the light comes from beyond three times its parameter, which makes dark cloth look hazy
-even in a good mirror.
+even in a good mirror. The blur has another width at every pixel: images are blurred with a few
+widths, and every pixel takes its share of each.
 
 Blender renders the light of each order that the floor reflects towards the camera, with the true
 distribution of slopes, from few paths; it is smoothed inside and outside the reflected cloth.
@@ -14,14 +15,107 @@ distribution of slopes, from few paths; it is smoothed inside and outside the re
 import itertools
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import cv2
 import numpy as np
+from scipy.special import ive
 
-from slipstitch.images.blur import GAUSSIAN, blur_weights, blurred, spread
 from slipstitch.images.camera import Camera
 from slipstitch.images.surroundings import Surroundings
 from slipstitch.images.visibility import Visibility, sees_quad, visible_cloth
+
+# Standard deviations in pixels, upwards in the image, between which is interpolated.
+_WIDTHS = (0.0, 0.35, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0, 8.0, 16.0, 44.8)
+# Images that are blurred more than this are made smaller first.
+_SHARPEST_PX = 1.4
+# How far round a pixel light carries, if there is none within reach of the blur.
+_FAR_PX = 7
+# Of the planes that `spread` fits: added to the variances of place (pixels^2), against noise.
+_PLANE_STIFFNESS = 0.3
+
+#: A blur whose shape is a single Gaussian.
+GAUSSIAN = ((1.0, 1.0),)
+
+
+def blur_weights(width: np.ndarray, shape: tuple[tuple[float, float], ...]) -> np.ndarray:
+    """Weights (L, H, W) float32 of the images blurred by each width that some pixel uses.
+
+    `width` is in pixels; `shape` has weights, and widths over `width`, of Gaussians.
+    """
+    numbers, variances = range(len(_WIDTHS)), np.square(_WIDTHS)
+    weights = np.zeros((len(_WIDTHS), *width.shape), np.float32)
+    for share, times in shape:
+        # By variance, which is what adds up when blurred images are mixed.
+        level = np.interp((width * times) ** 2, variances, numbers).astype(np.float32)
+        for number in range(int(level.min()), int(np.ceil(level.max())) + 1):
+            weights[number] += share * np.clip(1 - np.abs(level - number), 0, None)
+    last = max(number for number in numbers if weights[number].any())
+    return weights[: last + 1]
+
+
+def blurred(image: np.ndarray, weights: np.ndarray, squeeze: float) -> np.ndarray:
+    """An image (H, W, C) blurred as `blur_weights` say, sideways `squeeze` times as wide."""
+    result = weights[0][..., None] * image
+    for width, weight in zip(_WIDTHS[1:], weights[1:], strict=False):
+        smooth = _smooth(image, width, squeeze * width)
+        result += weight[..., None] * smooth.reshape(image.shape)
+    return result
+
+
+def _smooth(image: np.ndarray, upwards: float, sideways: float) -> np.ndarray:
+    fewer = 2 ** int(np.log2(max(upwards / _SHARPEST_PX, 1)))
+    if fewer == 1:
+        return cv2.sepFilter2D(image, -1, _kernel(sideways), _kernel(upwards))
+    height, width = image.shape[:2]
+    low = cv2.resize(image, (width, -(-height // fewer)), interpolation=cv2.INTER_AREA)
+    # Making an image smaller and larger again blurs it by half a pixel of the smaller one.
+    upwards = np.sqrt((upwards / fewer) ** 2 - 0.25)
+    low = cv2.sepFilter2D(low, -1, _kernel(sideways), _kernel(upwards))
+    return cv2.resize(low, (width, height), interpolation=cv2.INTER_LINEAR)
+
+
+@cache
+def _kernel(width: float) -> np.ndarray:
+    """The discrete Gaussian (Lindeberg 1990): its variance is right below a pixel, too."""
+    reach = math.ceil(4 * width) + 1
+    kernel = ive(np.abs(np.arange(-reach, reach + 1)), width**2)
+    return kernel / kernel.sum()
+
+
+def spread(light: np.ndarray, share: np.ndarray, blur: float) -> np.ndarray:
+    """Light over share (C, H, W): smoothed within a region and carried a little way out of it.
+
+    Around every pixel a plane is fitted to the light nearby: a mean would miss the gradient of a
+    shadow at the region's edge. `share` (H, W) is how much of the light is the region's, `blur` the
+    standard deviation in pixels of the weights.
+    """
+    share = share.astype(np.float32)
+    values = np.moveaxis(light, 0, -1).astype(np.float32) * (share > 0)[..., None]
+    whole = cv2.blur(share, (2 * _FAR_PX + 1,) * 2)[..., None]
+    far = cv2.blur(values, (2 * _FAR_PX + 1,) * 2).reshape(values.shape)
+    far = far / np.maximum(whole, 1e-3)
+    reach = max(3, math.ceil(2 * blur))
+    place = np.arange(-reach, reach + 1)
+    flat = np.exp(-(place**2) / 2 / blur**2)
+    slope, bend = flat * place, flat * place**2
+
+    def moment(image: np.ndarray, across: np.ndarray, down: np.ndarray) -> np.ndarray:
+        # OpenCV correlates: the moments are about the pixel itself.
+        return cv2.sepFilter2D(image, -1, across, down).reshape(*share.shape, -1)
+
+    count = moment(share, flat, flat)
+    scale = 1 / np.maximum(count, 1e-3)
+    x, y = (moment(share, *kernels) * scale for kernels in ((slope, flat), (flat, slope)))
+    mean = moment(values, flat, flat) * scale
+    xx = moment(share, bend, flat) * scale - x**2 + _PLANE_STIFFNESS
+    yy = moment(share, flat, bend) * scale - y**2 + _PLANE_STIFFNESS
+    xy = moment(share, slope, slope) * scale - x * y
+    vx = moment(values, slope, flat) * scale - x * mean
+    vy = moment(values, flat, slope) * scale - y * mean
+    near = mean - ((yy * vx - xy * vy) * x + (xx * vy - xy * vx) * y) / (xx * yy - xy**2)
+    return np.moveaxis(np.where(count > 1e-3, near, far), -1, 0)
+
 
 #: GGX, p(t1, t2) = a^2 / pi (a^2 + t1^2 + t2^2)^2, is a mixture of Gaussians whose inverse
 #: variances are exponentially distributed. Five of them: their shares, and widths over a.
@@ -53,8 +147,7 @@ class MirroredSight:
     uv: np.ndarray  # (N, 2): where on the cloth
     lying: np.ndarray  # (N,) bool: whether the cloth lies on the floor there; its underside is dark
     bare: np.ndarray  # (rays pixels, rays pixels) bool: the rays that see the floor
-    # (pixels, pixels) float32: the parameter of the blur, upwards in pixels, carried on where
-    # nothing is mirrored
+    # (pixels, pixels) float32: the parameter of the blur, upwards in pixels, everywhere
     width: np.ndarray
     squeeze: float  # the blur's sideward width over its upward one
     surroundings: Surroundings  # the floor's look and the lamp's place
@@ -71,16 +164,9 @@ def mirrored_sight(
     camera: Camera,
     rays: int,
 ) -> MirroredSight:
-    """Find the mirrored cloth.
+    """Find the mirrored cloth, of a mesh, in a mirror with corners `floor_m` (4, 3) of one height.
 
-    Parameters
-    ----------
-    positions_m, faces, vertex_uv : ndarray
-        The cloth's mesh.
-    floor_m : ndarray (4, 3)
-        Corners of the mirror, all at the same height.
-    cloth : Visibility
-        What the image's rays see of the cloth itself, `rays` along each side of a pixel.
+    `cloth` is what the image's rays, `rays` along each side of a pixel, see of the cloth itself.
     """
     wide, floor_z_m = camera.with_margin(_MARGIN), float(floor_m[0, 2])
     fine = wide.at_resolution(wide.pixels * rays)
@@ -157,8 +243,7 @@ def mirror_shares(sight: MirroredSight, cells: int) -> MirrorShares:
 def glint_share(surroundings: Surroundings, floor_z_m: float, camera: Camera) -> np.ndarray:
     """Share (pixels, pixels) of the lamp's light on a floor that is mirrored, not scattered.
 
-    The floor is a GGX mirror (Walter et al. 2007, height-correlated masking) of Schlick's
-    reflectance over a Lambertian body, the lamp is taken as a point.
+    A GGX mirror (Walter et al. 2007) of Schlick's reflectance over a Lambertian body, a point lamp.
     """
     place = np.arange(camera.pixels)
     x = (place[None, :] - camera.matrix[0, 2]) / camera.matrix[0, 0]
@@ -188,10 +273,7 @@ def glint_share(surroundings: Surroundings, floor_z_m: float, camera: Camera) ->
 def smooth_mirrored_light(
     light: np.ndarray, where: np.ndarray, shares: MirrorShares, squeeze: float
 ) -> np.ndarray:
-    """Light (C, H, W) of the mirrored cloth, smoothed within its reflection.
-
-    `where` (H, W) are the pixels that see nothing but floor.
-    """
+    """Light (C, H, W) of the mirrored cloth, smoothed within its reflection on the floor."""
     lit = shares.lit * where
     near = np.moveaxis(spread(light, lit, _LEAST_LIGHT_BLUR), 0, -1)
     more = (_LIGHT_SPREAD * shares.width) ** 2 - _LEAST_LIGHT_BLUR**2

@@ -25,7 +25,6 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from slipstitch.images.blur import spread
 from slipstitch.images.camera import Camera
 from slipstitch.images.reflection import (
     MirroredSight,
@@ -34,6 +33,7 @@ from slipstitch.images.reflection import (
     mirrored_sight,
     smooth_beside,
     smooth_mirrored_light,
+    spread,
 )
 from slipstitch.images.surroundings import MATTE, Surroundings
 from slipstitch.images.visibility import Visibility, sees_quad, visible_cloth
@@ -70,8 +70,7 @@ class Shading:
     # each pixel
     still: np.ndarray
     cloth: np.ndarray  # (3, 2 pixels, 2 pixels): the same of the cloth, where there is any
-    # (2, pixels, pixels): first- and second-order light reflected by the floor (its scene light is
-    # in `still`)
+    # (2, pixels, pixels): first- and second-order light reflected by the floor
     mirrored: np.ndarray | None = None
 
 
@@ -90,10 +89,7 @@ def look(
     camera: Camera,
     surroundings: Surroundings = MATTE,
 ) -> Sight:
-    """Visibility of the rays of an image.
-
-    Of the cloth's mesh and a floor's corners (4, 3), through a camera at the image's resolution.
-    """
+    """Visibility of the rays of an image, of the cloth and a floor's corners (4, 3)."""
     rays = _rays_per_side(camera.pixels)
     fine = camera.at_resolution(camera.pixels * rays)
     cloth = visible_cloth(positions_m, faces, vertex_uv, fine, rays)
@@ -108,10 +104,7 @@ def look(
 def separated_light(
     radiance: np.ndarray, uv: np.ndarray, glossy: np.ndarray | None, sight: Sight
 ) -> Shading:
-    """Separate and smooth the light of a shading render.
-
-    Radiance, uv and glossy are what `ClothScene.render` returns at twice the camera's resolution.
-    """
+    """Separate and smooth what `ClothScene.render` returns at twice the camera's resolution."""
     light = np.stack([separate(part) for part in radiance])
     step = sight.rays // LIGHT_OVERSAMPLING
     floor = sight.floor.astype(np.float32)

@@ -8,7 +8,7 @@ A camera of the family ``bench_1`` ... has a floor and a lamp of its own in ever
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -43,10 +43,6 @@ class Surroundings:
         """Whether the floor is reflective."""
         return self.reflectance > 0
 
-    def record(self) -> dict:
-        """The values as a mapping."""
-        return asdict(self)
-
 
 #: The floor and lamp of a configuration that varies neither.
 MATTE = Surroundings()
@@ -67,9 +63,8 @@ def drawn_by(simulation: str, viewpoint: str) -> str:
     """What the looks of a simulation's videos from a viewpoint (by name) are drawn by.
 
     The bench (fabric and replicate), so that no look tells the coefficient. For a camera of the
-    family ``bench_1`` ... the whole simulation: as many benches as there are films, so that none
-    tells its fabric. That a look is then of one coefficient does no harm where whole simulations
-    are held out, the only split that the configuration allows with such cameras.
+    family ``bench_1`` ... the whole simulation, so that none tells its fabric: harmless where whole
+    simulations are held out, the only split that is allowed with such cameras.
     """
     return simulation if of_a_family(viewpoint) else bench_of(simulation)
 
@@ -79,8 +74,7 @@ def draw_surroundings(
 ) -> Surroundings:
     """Floor and lamp of a simulation: of its fabric and replicate, whatever its coefficient.
 
-    All viewpoints share them but those of the second training set and of the family
-    ``bench_1`` ..., each of which is another bench in every simulation (`drawn_by`).
+    All viewpoints share them but those of the second training set and of a family (`drawn_by`).
     """
     view = viewpoint_ids(settings).get(viewpoint_id, "")
     bench = drawn_by(simulation, view)

@@ -26,10 +26,7 @@ KEPT = 16
 
 
 def worn_texture(name: str, seed: int, simulation: str, viewpoint: str) -> str:
-    """What `texture` takes for the cloth of a film: a name, of the family with a number.
-
-    The number is drawn for the simulation (by id) and the viewpoint (by name).
-    """
+    """What `texture` takes for the cloth of a film: a name, of the family with a drawn number."""
     if name not in TEXTURE_FAMILY:
         return name
     return f"{name}:{generator(seed, simulation, viewpoint, name, 'cloth').integers(2**32)}"
@@ -39,13 +36,9 @@ def worn_texture(name: str, seed: int, simulation: str, viewpoint: str) -> str:
 def texture(name: str) -> np.ndarray:
     """Linear albedo (512, 512, 3) float32 of a texture, in [0.02, 0.8], read-only.
 
-    Row 0 is at v = 0 (the cloth's upper edge), column 0 at u = 0, values at texel centres.
-
-    Parameters
-    ----------
-    name : str
-        One of `slipstitch.config.catalogue.TEXTURES`, an image file (sRGB), or what `worn_texture`
-        makes of a member of the family; BadInput if it is none of these.
+    Row 0 is at v = 0 (the cloth's upper edge), column 0 at u = 0, values at texel centres. `name`
+    is one of `slipstitch.config.catalogue.TEXTURES`, an image file (sRGB), or what `worn_texture`
+    makes of a member of the family; BadInput if it is none of these.
     """
     member, _, number = name.partition(":")
     centres = (np.arange(TEXELS) + 0.5) / TEXELS
@@ -206,8 +199,7 @@ def _chevron(u, v, rng):
 def _drawn_cloth(u, v, rng):
     """A cloth of random pattern: one, or two over one another, on a mottled ground.
 
-    A quarter of the grounds are white or pale. Half of the patterns are bold, as prints and woven
-    checks are: light on dark, or dark on light.
+    A quarter of the grounds are pale, half of the patterns bold: light on dark, or dark on light.
     """
     pale = rng.uniform() < 0.25
     ground = _drawn_colour(rng, (0.85, 0.98), 0.2) if pale else _drawn_colour(rng)

@@ -22,9 +22,8 @@ from slipstitch.config import Config
 from slipstitch.design.grid import texture_ids
 from slipstitch.images.composition import compose_light, join
 from slipstitch.images.encoding import encode_png, encode_srgb
-from slipstitch.images.image_shards import SCHEMA
+from slipstitch.images.image_shards import SCHEMA, decode_image
 from slipstitch.images.packing import read_pack
-from slipstitch.images.preview import decode_image
 from slipstitch.images.surroundings import generator
 from slipstitch.images.textures import texture
 from slipstitch.images.view import View
@@ -142,27 +141,11 @@ def verify(
     out: str | os.PathLike,
     progress=iter,
 ) -> list[Comparison]:
-    """Render a random sample of the shards' images directly and compare.
+    """Render a random sample of the shards' images directly, compare, write that as JSON.
 
-    Parameters
-    ----------
-    config : Config
-        `render.verified_images` says how many, its seed which.
-    shards : sequence of paths
-        Image shards.
-    trajectories, packs : path
-        Folders of the simulations and of the shading packs.
-    out : path
-        JSON file of all comparisons.
-    progress : callable
-        Wraps the list of images.
-
-    Raises
-    ------
-    BadInput
-        If a file is missing or damaged.
-    SlipstitchError
-        If an image is not the dataset's, or not near enough to the direct one.
+    `render.verified_images` says how many, the seed which; `trajectories` and `packs` are folders,
+    `progress` wraps the list of images. BadInput if a file is missing or damaged; SlipstitchError
+    if an image is not the dataset's, or not near enough to the direct one.
     """
     started = start_clock()
     rows = []

@@ -6,28 +6,36 @@ and lamp, the frames, what the cloth wears, and the camera effects of each video
 
 import os
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import provenance_record
 from slipstitch.config import Config
 from slipstitch.config.catalogue import VIEWPOINTS, catalogue_entries
 from slipstitch.config.render import RenderSettings
 from slipstitch.design.grid import films, floors_of, is_reflective, texture_ids, viewpoint_ids
 from slipstitch.design.interpolation import Interpolation, interpolations
 from slipstitch.design.sampled_frames import sampled_frames
-from slipstitch.images.bench_camera import BenchCamera, Rectifier, bench_room, draw_bench_camera
-from slipstitch.images.calibrated_view import CalibratedView, cloth_size, crop_to
+from slipstitch.images.calibrated_view import (
+    BenchCamera,
+    CalibratedView,
+    Rectifier,
+    bench_room,
+    cloth_size,
+    crop_to,
+    draw_bench_camera,
+)
 from slipstitch.images.camera import Camera
-from slipstitch.images.camera_effects import CameraEffects, draw_camera_effects, pixel_noise
+from slipstitch.images.encoding import CameraEffects, draw_camera_effects, pixel_noise
 from slipstitch.images.surroundings import Surroundings, draw_surroundings
 from slipstitch.images.textures import worn_texture
 from slipstitch.physics.simulation.trajectory import Trajectory, read_trajectory
 
-#: A frame of which one edge in a hundred is stretched or shortened by more is no cloth.
-#: Of simulated ones it is 0.022 at most.
+#: A frame of which one edge in a hundred is strained more is no cloth; simulated: 0.022 at most.
 STRAIN_MAX = 0.03
 
 
@@ -65,13 +73,7 @@ class View:
 
     @classmethod
     def of(cls, config: Config, trajectory_path: str | os.PathLike, viewpoint: str) -> "View":
-        """The view of a configuration, with a viewpoint by its id or its name.
-
-        Raises
-        ------
-        BadInput
-            If there is no such viewpoint.
-        """
+        """The view of a configuration, with a viewpoint by its id or its name; else BadInput."""
         ids = viewpoint_ids(config.render)
         name = ids.get(viewpoint, viewpoint)
         if name not in VIEWPOINTS:
@@ -142,11 +144,6 @@ class View:
         return worn_texture(name, self.seed, self.simulation, self.viewpoint)
 
     @property
-    def other_floors(self) -> str:
-        """The key of the floors that this viewpoint does not show."""
-        return "floors" if is_reflective(self.settings, self.viewpoint_id) else "reflective_floors"
-
-    @property
     def parents(self) -> list[Path]:
         """Trajectories of the simulations that the film's cloth is made of."""
         path = Path(self.trajectory_path)
@@ -155,13 +152,7 @@ class View:
         return [path.with_stem(name) for name in self.interpolation.weights]
 
     def trajectory(self) -> Trajectory:
-        """The motion that the film shows: the simulation's, or one between several.
-
-        Raises
-        ------
-        BadInput
-            If a trajectory cannot be rendered, or does not fit the others.
-        """
+        """The motion that the film shows: the simulation's, or one between several."""
         if self.interpolation is None:
             return usable_trajectory(self.trajectory_path)
         parents = {path.stem: usable_trajectory(path) for path in self.parents}
@@ -191,15 +182,36 @@ class View:
         """What brings the images into the calibrated viewpoint."""
         return Rectifier(self.bench_camera, self.calibrated(trajectory))
 
-    def inputs(self) -> list:
-        """The files that the light depends on."""
-        camera = self.settings.camera_of(self.viewpoint)
-        return [*self.parents, *([camera] if camera else [])]
+    def record(
+        self,
+        stage: str,
+        started: tuple[float, float],
+        unused: Mapping[str, Any],
+        files: Iterable = (),
+        textures: Iterable[str] = (),
+    ) -> dict:
+        """Provenance of the light, or with textures (by name) and their `files` of images.
 
-    def catalogue_entries(self, textures: Iterable[str] = ()) -> dict:
-        """What the record says of the catalogue: viewpoint, floors, and the textures composed."""
+        `unused` are the keys of the settings that do not matter, as of `BaseModel.model_dump`.
+        """
+        other_floors = (
+            "floors" if is_reflective(self.settings, self.viewpoint_id) else "reflective_floors"
+        )
+        shown = self.settings.model_dump(mode="json", exclude={**unused, other_floors: True})
+        camera = self.settings.camera_of(self.viewpoint)
         floors = floors_of(self.settings, self.viewpoint_id)
-        return catalogue_entries([self.viewpoint], textures, floors)
+        return provenance_record(
+            stage,
+            inputs=[*self.parents, *([camera] if camera else []), *files],
+            config={
+                "render": shown,
+                "sample": {"frames": self.frames_sampled},
+                "viewpoint": self.viewpoint,
+                "catalogue": catalogue_entries([self.viewpoint], textures, floors),
+            },
+            seed=self.seed,
+            started=started,
+        )
 
 
 def camera_record(wanted: list[Shot], bench: BenchCamera | None = None) -> dict:
@@ -209,7 +221,7 @@ def camera_record(wanted: list[Shot], bench: BenchCamera | None = None) -> dict:
         "convention": "OpenCV: x_camera = rotation x_world + translation_m; x right, y down, "
         "z forward; the centre of the first pixel is (0, 0); no distortion",
         "pixels": first.pixels,
-        "bench": bench and bench.record(),
+        "bench": bench and asdict(bench),
         "rotation": first.rotation.tolist(),
         "translation_m": first.translation_m.tolist(),
         "frames": {
@@ -249,22 +261,11 @@ def usable_trajectory(path: str | os.PathLike) -> Trajectory:
 def interpolated(
     parents: Mapping[str, Trajectory], weights: Mapping[str, float], own: str
 ) -> Trajectory:
-    """The weighted mean of trajectories, frame by frame as far as it is a cloth.
+    """The weighted mean of trajectories on one mesh, frame by frame as far as it is a cloth.
 
     Two simulations that roll over at other moments have no cloth between them: in their mean, edges
-    collapse. Where they do, a frame shows the film's own simulation.
-
-    Parameters
-    ----------
-    parents, weights : mapping
-        Simulation id -> trajectory, and weight; the trajectories on one mesh, at the same times.
-    own : str
-        Simulation of the film.
-
-    Returns
-    -------
-    Trajectory
-        ``metadata["interpolated_frames"]`` is the number of frames that show the mean.
+    collapse. There, a frame shows the film's `own` simulation; ``metadata["interpolated_frames"]``
+    is the number of the others.
     """
     first, total = parents[own], sum(weights.values())
     for name, other in parents.items():

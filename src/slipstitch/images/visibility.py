@@ -36,10 +36,9 @@ def warp_array(values: np.ndarray, dtype) -> wp.array:
 def ray_places(x: np.ndarray, y: np.ndarray, tile: int) -> tuple[np.ndarray, np.ndarray]:
     """Image coordinates of the rays of the pixels (x, y).
 
-    Each tile of n x n rays is sheared so that its rays lie on n^2 different columns and n^2
-    different rows: an edge along a row or a column is then resolved in n^2 steps, not n
-    (multi-jittered sampling: Chiu, Shirley & Wang 1994, with the correlated shuffle of Kensler
-    2013, which keeps slanting edges well resolved too).
+    Each tile of n x n rays is sheared to lie on n^2 different columns and rows: an edge along them
+    is then resolved in n^2 steps, not n (multi-jittered sampling: Chiu, Shirley & Wang 1994, with
+    the correlated shuffle of Kensler 2013).
     """
     shuffle = _SHUFFLE[tile]
     return (x + (shuffle[y % tile] + 0.5) / tile - 0.5, y + (shuffle[x % tile] + 0.5) / tile - 0.5)
@@ -57,11 +56,7 @@ class Visibility:
 def visible_cloth(
     positions_m: np.ndarray, faces: np.ndarray, uv: np.ndarray, camera: Camera, tile: int = 4
 ) -> Visibility:
-    """Cast one ray through every pixel, at its place in `ray_places`, at the cloth's triangles.
-
-    Texture coordinates (V, 2) are interpolated over each triangle with perspective. Both faces of
-    the cloth count; vertices must lie in front of the camera.
-    """
+    """Cast a ray through every pixel, at its place in `ray_places`, at both faces of triangles."""
     side = camera.pixels
     local = positions_m @ camera.rotation.T + camera.translation_m
     nearness = 1 / local[:, 2]
@@ -104,8 +99,7 @@ def _draw_triangle(
     low = p + wp.vec2d(wp.min(zero, wp.min(a[0], b[0])), wp.min(zero, wp.min(a[1], b[1])))
     high = p + wp.vec2d(wp.max(zero, wp.max(a[0], b[0])), wp.max(zero, wp.max(a[1], b[1])))
     side, tile = nearest.shape[0], shuffle.shape[0]
-    # A ray lies within half a pixel of its pixel's centre; clamped first, as far places are no
-    # integers.
+    # A ray lies within half a pixel of its pixel's centre; far places are no integers.
     end = wp.float64(side)
     left = wp.int32(wp.ceil(wp.clamp(low[0] - half, zero, end)))
     right = wp.int32(wp.floor(wp.clamp(high[0] + half, -one, end - one)))
@@ -133,8 +127,7 @@ def _draw_triangle(
 def sees_quad(corners_m: np.ndarray, camera: Camera, tile: int = 4) -> np.ndarray:
     """Whether each pixel's ray meets a convex quadrilateral, (pixels, pixels) bool.
 
-    Its corners (4, 3) in order around it, all in front of the camera, whose pixels are a multiple
-    of `tile` (4 or 8, see `ray_places`).
+    Corners (4, 3) in order, in front of the camera; pixels a multiple of `tile` (see `ray_places`).
     """
     corners = camera.project(corners_m)
     edges = np.roll(corners, -1, axis=0) - corners

@@ -9,12 +9,25 @@ is read after the last frame; a told material has as many softmax outputs as the
     frame --> conv1a, conv1b, pool, conv2a, conv2b, pool, conv3a, pool, conv4a --> features
     material --> FC_s, softmax --> beside the features of every frame
     features of all frames --> LSTM --> LSTM --> FC, dropout, FC --> softmax
+
+`LRCN` are the layers, `LrcnModel` is what is stored and predicts.
 """
 
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
 import torch
+from pydantic import ValidationError
 from torch import Tensor, nn
 
+from slipstitch.base.errors import BadInput, first_line
 from slipstitch.config.train import TrainSettings
+from slipstitch.dataset.videos import Videos
+from slipstitch.learning.model_file import read_weights, write_weights
+from slipstitch.learning.prediction import Prediction, labels_of
 
 LSTM_LAYERS = 2
 # At width 1: of each LSTM layer, and of the first fully connected one, before whose output dropout.
@@ -36,11 +49,10 @@ class _Bfloat16Gradient(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(context, maps: Tensor, weight: Tensor, bias: Tensor | None, padding) -> Tensor:
+    def forward(context, maps: Tensor, weight: Tensor, padding) -> Tensor:
         context.save_for_backward(maps.bfloat16(), weight.bfloat16())
         context.padding = padding
-        context.has_bias = bias is not None
-        return nn.functional.conv2d(maps, weight, bias, padding=padding)
+        return nn.functional.conv2d(maps, weight, padding=padding)
 
     @staticmethod
     def backward(context, gradient: Tensor) -> tuple[Tensor | None, ...]:
@@ -50,24 +62,19 @@ class _Bfloat16Gradient(torch.autograd.Function):
             gradient.bfloat16(), maps, weight, None, [1, 1], context.padding, [1, 1], False, [0, 0],
             1, wanted,
         )  # fmt: skip
-        by_bias = gradient.sum((0, 2, 3)) if context.has_bias else None
-        return (None if by_maps is None else by_maps.float()), by_weight.float(), by_bias, None
+        return (None if by_maps is None else by_maps.float()), by_weight.float(), None
 
 
 class Convolution(nn.Conv2d):
-    """A convolution of stride 1 that can use bfloat16."""
+    """A convolution of stride 1, without bias, that can use bfloat16."""
 
     def forward(self, maps: Tensor, bfloat16: bool = False) -> Tensor:
-        """Convolve maps (n, channels, height, width).
-
-        `bfloat16`: with gradients, derive in bfloat16; without, compute in bfloat16.
-        """
+        """Convolve maps (n, channels, height, width); `bfloat16` derives, or computes, in it."""
         if not bfloat16:
             return super().forward(maps)
         if torch.is_grad_enabled():
-            return _Bfloat16Gradient.apply(maps, self.weight, self.bias, self.padding)
-        bias = None if self.bias is None else self.bias.bfloat16()
-        return self._conv_forward(maps.bfloat16(), self.weight.bfloat16(), bias)
+            return _Bfloat16Gradient.apply(maps, self.weight, self.padding)
+        return self._conv_forward(maps.bfloat16(), self.weight.bfloat16(), None)
 
 
 class ConvolutionBlock(nn.Sequential):
@@ -97,8 +104,7 @@ class ConvolutionBlock(nn.Sequential):
 class LRCN(nn.Module):
     """Classes from the frames of a video, `pixels` a side; `settings` say sizes and initialisation.
 
-    Of a conditional network `condition_classes` is the number of materials of which it is told
-    one.
+    A conditional network is told one of `condition_classes` materials.
     """
 
     def __init__(
@@ -132,9 +138,8 @@ class LRCN(nn.Module):
             )
         units = scaled(UNITS, settings.width)
         self.lstm = nn.LSTM(channels + condition_classes, units, LSTM_LAYERS, batch_first=True)
-        hidden = scaled(UNITS, settings.width)
         self.fully_connected = nn.Sequential(
-            nn.Linear(units, hidden), nn.ReLU(), nn.Dropout(DROPOUT), nn.Linear(hidden, classes)
+            nn.Linear(units, units), nn.ReLU(), nn.Dropout(DROPOUT), nn.Linear(units, classes)
         )
         self.initialise()
         # Channels last: two to three times faster in bfloat16 on CPUs.
@@ -143,9 +148,9 @@ class LRCN(nn.Module):
     def initialise(self) -> None:
         """Draw the weights anew, as `settings.initialisation` says, from torch's generator.
 
-        he: normal, variance 2 / fan in (He et al. 2015); glorot: uniform, as Keras does by default.
-        Both give the LSTM Glorot input weights, orthogonal recurrent weights and a forget bias of
-        1, Keras' default. pytorch: PyTorch's own, uniform within 1 / sqrt(fan in).
+        he: normal (He et al. 2015); glorot: uniform, as Keras; both give the LSTM Keras' defaults:
+        Glorot input, orthogonal recurrent weights, forget bias 1. pytorch: uniform within 1 /
+        sqrt(fan in).
         """
         kind = self.settings.initialisation
         if kind == "pytorch":
@@ -196,3 +201,108 @@ class LRCN(nn.Module):
         rows = frames.reshape(-1, side, side * 3).float()
         rows = rows.sub_(self.mean.repeat(side)).div_(self.deviation.repeat(side))
         return rows.view(-1, side, side, 3)
+
+
+FORMAT = "slipstitch-lrcn-2"
+WEIGHTS = "model.safetensors"
+CARD = "model.json"
+#: Folder, in a model's own, of the network before fine-tuning.
+ALL_VIEWS = "all_views"
+#: Instead of a material network: the videos' true materials.
+TRUE = "true materials"
+
+
+@dataclass(frozen=True)
+class LrcnModel:
+    """A network with its weights, its card and, if it is conditional, its material network."""
+
+    network: LRCN
+    card: dict[str, Any]
+    material: "LrcnModel | None" = None  # of a conditional network
+    # whether another network predicts for the other training views
+    calibrated_view_alone: bool = False
+
+    def sees(self, row: Mapping[str, Any]) -> bool:
+        """Return whether the model predicts for the video of a manifest row."""
+        others = self.card["viewpoints"][1:] if self.calibrated_view_alone else []
+        return row["viewpoint"] not in others
+
+    def probabilities(self, videos: Videos, batch_size: int = 8) -> np.ndarray:
+        """Return the class probabilities of videos, float64 of shape (n, classes)."""
+        card, condition = self.card, None
+        if self.material is not None:
+            condition = self.material.probabilities(videos, batch_size).argmax(1)
+        elif card["condition_classes"]:
+            condition = labels_of(videos.rows, card["condition_classes"], "material")
+        return class_probabilities(
+            self.network,
+            videos.seen_with(card["pixels"], card["frames"]).pixels,
+            condition,
+            bfloat16=card["bfloat16"],
+            batch_size=batch_size,
+        )
+
+    def predict(self, videos: Videos, batch_size: int = 8) -> list[Prediction]:
+        """Return a prediction for every video."""
+        every = self.probabilities(videos, batch_size)
+        if self.card["target"] == "material":
+            names = [of_class["name"] for of_class in self.card["classes"]]
+            return [
+                Prediction(material_probabilities=dict(zip(names, shares.tolist(), strict=True)))
+                for shares in every
+            ]
+        values = np.array([of_class["value"] for of_class in self.card["classes"]])
+        return [Prediction(float(values[shares.argmax()]), (values, shares)) for shares in every]
+
+    def check_is_material_network_of(self, split: str, seed: int, digest: str) -> None:
+        """Refuse a network that is not the material network of this split, seed and dataset."""
+        network = "material_baseline"
+        expected = {"network": network, "split": split, "seed": seed, "dataset_digest": digest}
+        for key, value in expected.items():
+            if self.card[key] != value:
+                raise BadInput(
+                    f"the material model has {key} {self.card[key]!r}, {value!r} is needed: "
+                    "the friction network must be conditioned on predictions for the same data"
+                )
+
+
+def class_probabilities(
+    network: LRCN,
+    pixels: np.ndarray,
+    condition: np.ndarray | None = None,
+    *,
+    bfloat16: bool = False,
+    batch_size: int = 8,
+) -> np.ndarray:
+    """Return class probabilities (n, classes) of videos, by class numbers of the materials told."""
+    network.eval()
+    parts = []
+    with torch.inference_mode():
+        for first in range(0, len(pixels), batch_size):
+            batch = slice(first, first + batch_size)
+            given = None if condition is None else torch.from_numpy(condition[batch])
+            logits = network(torch.from_numpy(pixels[batch]), given, bfloat16)
+            parts.append(logits.double().softmax(-1))
+    return torch.cat(parts).numpy()
+
+
+def save_model(network: LRCN, card: dict[str, Any], folder: str | Path) -> dict[str, Any]:
+    """Write ``model.safetensors`` and ``model.json``; return the card as written."""
+    card = {"format": FORMAT, **card}
+    return write_weights(network.state_dict(), card, Path(folder) / WEIGHTS, Path(folder) / CARD)
+
+
+def load_model(folder: str | Path) -> LrcnModel:
+    """Read a network that `save_model` wrote; BadInput if it is not as it was written."""
+    weights, card_path = Path(folder) / WEIGHTS, Path(folder) / CARD
+    tensors, card = read_weights(weights, card_path, FORMAT)
+    try:
+        settings = TrainSettings.model_validate(card["settings"])
+        network = LRCN(
+            settings, len(card["classes"]), card["pixels"], len(card["condition_classes"])
+        )
+        network.load_state_dict(tensors)
+    except (ValidationError, RuntimeError, KeyError) as error:
+        raise BadInput(f"{weights}: weights do not match the card: {first_line(error)}") from None
+    network.eval()
+    return LrcnModel(network, card)

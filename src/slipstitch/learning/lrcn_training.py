@@ -16,19 +16,19 @@ from torch import Tensor, nn
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import start_clock
-from slipstitch.config.train import NETWORKS, REFLECTIVE, TrainSettings
+from slipstitch.config.train import REFLECTIVE, TrainSettings
 from slipstitch.dataset.videos import Videos
-from slipstitch.learning.classes import chance_loss, classes_of, labels_of
-from slipstitch.learning.lrcn import LRCN
-from slipstitch.learning.lrcn_model import (
+from slipstitch.learning.lrcn import (
     ALL_VIEWS,
     CARD,
+    LRCN,
     TRUE,
     WEIGHTS,
     class_probabilities,
     load_model,
     save_model,
 )
+from slipstitch.learning.prediction import chance_loss, classes_of, labels_of
 from slipstitch.learning.schedule import FINE_TUNING, Phase, learning_rate, progressive_schedule
 from slipstitch.learning.torch_setup import computes_bfloat16, set_up_torch
 from slipstitch.learning.trainer import Learner, Run, Trainer
@@ -133,25 +133,20 @@ def train_network(
 ) -> dict[str, Any]:
     """Train one network and write it; return its card.
 
+    BadInput if dataset, material model or arguments do not fit; else as `Trainer.train`.
+
     Parameters
     ----------
     network_name : {"material_baseline", "friction_baseline", "friction_conditional"}
     view_order : sequence of str
         Training viewpoints by name; the first is the calibrated one.
     material_model : path, optional
-        What friction_conditional is conditioned on, and for it only: folder of the
-        material_baseline of the same dataset, split and seed; or `TRUE`.
+        What friction_conditional, and it only, is conditioned on: folder of the material_baseline
+        of the same dataset, split and seed; or `TRUE`.
     expected_classes : dict, optional
         ``{"material": [names], "friction": [coefficients]}`` that the dataset must have.
     phases : list of Phase, optional
         Epochs by viewpoints; by default the `progressive_schedule`.
-
-    Raises
-    ------
-    BadInput
-        If dataset, material model or arguments do not fit.
-    PlateauError, DivergedError
-        As `Trainer.train`; PlateauError also after `PLATEAU_EPOCHS`.
     """
     started = start_clock()
     _check_names(network_name, material_model)
@@ -195,10 +190,7 @@ def train_network(
 def _train_and_write(
     trainer: Trainer, view_order: Sequence[str], known: dict[str, Any], told: list[Path]
 ) -> dict[str, Any]:
-    """Train; write the network, that before fine-tuning if it is kept, and what told it materials.
-
-    Returns the card.
-    """
+    """Train; write the network, also before fine-tuning if that is kept; return the card."""
     learner, run = trainer.learner, trainer.run
 
     def save(folder: Path) -> dict[str, Any]:
@@ -230,9 +222,7 @@ def _train_and_write(
 
 
 def _check_names(network_name: str, material_model: str | Path | None) -> None:
-    """Refuse an unknown network, and one with or without a material network against its kind."""
-    if network_name not in NETWORKS:
-        raise BadInput(f"unknown network {network_name!r}; known: {', '.join(NETWORKS)}")
+    """Refuse a network with or without a material network against its kind."""
     conditional = network_name == "friction_conditional"
     if conditional != (material_model is not None):
         raise BadInput(
@@ -282,16 +272,10 @@ def _check_training(videos, labels, classes, training, view_order, target) -> No
     for number, entry in enumerate(classes):
         if not np.any(labels[training] == number):
             raise BadInput(f"{target} class {entry['id']} has no training video")
-    present = {row["viewpoint"] for row in videos.rows}
-    trained = {row["viewpoint"] for row in compress(videos.rows, training)}
+    trained = sorted({row["viewpoint"] for row in compress(videos.rows, training)})
     for name in view_order:
-        if name not in present:
-            raise BadInput(
-                f"the dataset has no training viewpoint {name!r}; known: "
-                f"{', '.join(sorted(present))}"
-            )
         if name not in trained:
-            raise BadInput(f"viewpoint {name!r} has no training video")
+            raise BadInput(f"viewpoint {name!r} has no training video; {', '.join(trained)} have")
 
 
 def _colour_statistics(pixels: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -20,15 +20,11 @@ class Phase:
     name: str
     viewpoints: tuple[str, ...]
     epochs: int
-    # the phase ends earlier once its lowest validation loss is so many epochs old, if the network
-    # has left chance
+    # it ends earlier once its lowest validation loss is so old, if the network has left chance
     flat_epochs: int | None = None
 
     def length(self, rows: Sequence[Mapping[str, Any]], left_chance: float) -> int:
-        """Return how many epochs the phase has, from its history so far.
-
-        `left_chance` is the training loss below which a network has left chance.
-        """
+        """Return how many epochs the phase has; below a training loss the network `left_chance`."""
         lowest, age, least = math.inf, 0, math.inf
         for number, row in enumerate(rows[: self.epochs], 1):
             least = min(least, row["train_loss"])
@@ -57,11 +53,9 @@ def progressive_schedule(
 ) -> list[Phase]:
     """Return cycles of one, two ... viewpoints, then the first one alone.
 
-    With `settings.flat_epochs` epochs of all viewpoints, at the full learning rate, come before the
-    last cycle, which lowers the rate: until the lowest validation loss is so many epochs old and
-    the network has left chance, at most `CYCLES_MAX` cycles of them.
-
-    With `twice_as_many` videos there are half as many epochs, which is the same work.
+    With `settings.flat_epochs` epochs of all viewpoints come before the last cycle, which lowers
+    the rate: until the lowest validation loss is so many epochs old and the network has left
+    chance, at most `CYCLES_MAX` cycles. With `twice_as_many` videos there are half as many epochs.
     """
     share = 2 if twice_as_many else 1
     epochs, last = (
@@ -82,10 +76,7 @@ def progressive_schedule(
 def learning_rate(
     settings: TrainSettings, phases: Sequence[Phase], phase: Phase, done: float
 ) -> float:
-    """Return Adadelta's rate: constant, down a cosine in the last cycle, then as at its end.
-
-    Of the phase at work, one of all `phases`, when so large a share of it is done, 0 ... 1.
-    """
+    """Return Adadelta's rate: constant, down a cosine in the last cycle, then as at its end."""
     last_cycle = [other for other in phases if other.name != FINE_TUNING][-1]
     if phase.name == FINE_TUNING:
         height = 0.0

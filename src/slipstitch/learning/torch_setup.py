@@ -13,20 +13,12 @@ def set_up_torch(threads: int) -> None:
     torch.use_deterministic_algorithms(True)
     # Else every new tensor is filled with NaN first: an eighth of the time.
     torch.utils.deterministic.fill_uninitialized_memory = False  # type: ignore[attr-defined]
-    _keep_freed_memory()
-    torch.set_num_threads(threads)
-
-
-def _keep_freed_memory() -> None:
-    """Let glibc keep large blocks, of which every step takes and frees the same.
-
-    Otherwise the system allocates them again, page by page: a twentieth of a step's time at 64
-    pixels, a twelfth at 112. Other C libraries are left as they are.
-    """
-    set_option = getattr(ctypes.CDLL(None), "mallopt", None)
-    if set_option is not None:
+    # Let glibc keep large blocks, of which every step takes and frees the same: the system would
+    # allocate them again, page by page, a twentieth to a twelfth of a step's time.
+    if set_option := getattr(ctypes.CDLL(None), "mallopt", None):
         set_option(GLIBC_M_MMAP_THRESHOLD, 2**30)
         set_option(GLIBC_M_TRIM_THRESHOLD, 2**31 - 1)
+    torch.set_num_threads(threads)
 
 
 def computes_bfloat16(precision: str) -> bool:

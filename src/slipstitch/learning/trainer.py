@@ -19,12 +19,12 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from slipstitch.base.errors import BadInput, SlipstitchError
+from slipstitch.base.errors import SlipstitchError
 from slipstitch.base.provenance import atomic_path, code_digest, provenance_record, write_sidecar
-from slipstitch.config.train import TRAINED_ON, split_of
+from slipstitch.config.train import split_of
 from slipstitch.dataset.manifest import MANIFEST
 from slipstitch.dataset.videos import Videos, read_videos, takes_part
-from slipstitch.learning.checkpoint import CHECKPOINT, Progress, load_checkpoint, save_checkpoint
+from slipstitch.learning.model_file import CHECKPOINT, Progress, load_checkpoint, save_checkpoint
 from slipstitch.learning.schedule import Phase, place
 
 HISTORY = "history.csv"
@@ -46,9 +46,7 @@ class Run:
     dataset: str | Path  # folder that the sample stage wrote
     split: str  # one of `slipstitch.config.train.TRAINED_ON`
     seed: int  # of weights, order of the videos, augmentations and dropout
-    # folder of the model, of ``history.csv`` and, until the training is finished, of
-    # ``checkpoint.safetensors``
-    out: str | Path
+    out: str | Path  # folder of model, history and, until the training is finished, checkpoint
     # frames of a video that the network sees; by default all that the dataset has
     frames: int | None = None
     # says of a manifest row whether its video may train or validate; by default all may
@@ -60,25 +58,15 @@ class Run:
     def videos(
         self, pixels: int | None, frames: int | None, viewpoints: Sequence[str] | None = None
     ) -> tuple[Videos, np.ndarray]:
-        """Return the videos that train or validate, and which of them train.
-
-        `pixels` and `frames` as for `slipstitch.dataset.videos.read_videos`; all viewpoints by
-        default. BadInput if there is no such split, or the dataset is damaged or leaks.
-        """
-        if self.split not in TRAINED_ON:
-            raise BadInput(f"unknown split {self.split!r}; known: {', '.join(TRAINED_ON)}")
+        """Return the videos that train or validate, as `read_videos`, and which of them train."""
         column = f"split_{split_of(self.split)}"
-        videos = read_videos(
-            self.dataset,
-            lambda row: (
-                takes_part(row, self.split)
-                and row[column] != "test"
-                and (viewpoints is None or row["viewpoint"] in viewpoints)
-                and (self.uses is None or self.uses(row))
-            ),
-            pixels,
-            frames,
-        )
+
+        def chosen(row: dict[str, Any]) -> bool:
+            in_view = viewpoints is None or row["viewpoint"] in viewpoints
+            used = in_view and (self.uses is None or self.uses(row))
+            return used and row[column] != "test" and takes_part(row, self.split)
+
+        videos = read_videos(self.dataset, chosen, pixels, frames)
         return videos, np.array([row[column] == "train" for row in videos.rows])
 
 
@@ -96,10 +84,8 @@ class Learner:
     phases: Sequence[Phase]  # the schedule
     chance_loss: float  # of the best guess that ignores the video, as ``train_loss`` counts it
     gradient_norm_max: float | None = None  # gradients are clipped to it
-    # last epochs over which the loss is averaged before it is compared with chance, and epochs
-    # after which it is compared for the first time; None: in the end only
-    plateau_window: int = 1
-    plateau_epochs: int | None = None
+    plateau_window: int = 1  # last epochs whose mean loss is compared with chance
+    plateau_epochs: int | None = None  # after which it is so first; None: in the end only
     diverged_hint: str  # which settings to look at, for the messages
     plateau_hint: str
 
@@ -114,10 +100,9 @@ class Learner:
     def batch_loss(
         self, batch: np.ndarray, generator: np.random.Generator
     ) -> tuple[Tensor, dict[str, float]]:
-        """Return the loss to derive, and columns of the history summed over the batch.
+        """Return the loss to derive, and columns of the history, ``train_loss`` first, of a batch.
 
-        ``train_loss`` is the first. `generator` is for augmentations: the same one at the same
-        step, however often a training was stopped before.
+        `generator` is the same at the same step, however often a training was stopped before.
         """
         raise NotImplementedError
 
@@ -159,18 +144,14 @@ class Trainer:
             ],
             "bfloat16": learner.bfloat16,
             "code_digest": code_digest(learner.stage),
-            "split": run.split,
-            "seed": run.seed,
-            "frames": run.frames,
-            "threads": run.threads,
+            **{name: getattr(run, name) for name in ("split", "seed", "frames", "threads")},
             **identity,
         }
 
     def train(self) -> None:
         """Train to the end; then `history` has one row per epoch.
 
-        DivergedError if the loss is not finite, PlateauError if the training loss is not below
-        chance by the margin of the settings.
+        DivergedError if the loss is not finite, PlateauError if it stays within a margin of chance.
         """
         learner = self.learner
         most = sum(phase.epochs for phase in learner.phases)
@@ -182,13 +163,8 @@ class Trainer:
         if message:
             print(message, file=sys.stderr)
         self.saved_at = time.monotonic()
-        bar = tqdm(
-            total=most,
-            initial=progress.epoch,
-            desc=learner.name,
-            unit="epoch",
-            disable=not sys.stderr.isatty(),
-        )
+        told = {"desc": learner.name, "unit": "epoch", "disable": not sys.stderr.isatty()}
+        bar = tqdm(total=most, initial=progress.epoch, **told)
         self.history = progress.history
         following = place(learner.phases, self.history, left_chance)
         while following is not None:
@@ -215,14 +191,8 @@ class Trainer:
             rate = learner.learning_rate(phase, epoch, progress.step, len(order))
             self._step(progress, order[first : first + size], rate)
             if time.monotonic() - self.saved_at >= learner.settings.checkpoint_interval_s:
-                save_checkpoint(
-                    self.out / CHECKPOINT,
-                    self.identity,
-                    progress,
-                    learner.network,
-                    learner.optimizer,
-                    self.started,
-                )
+                path, learnt = self.out / CHECKPOINT, (learner.network, learner.optimizer)
+                save_checkpoint(path, self.identity, progress, *learnt, self.started)
                 self.saved_at = time.monotonic()
             if self.run.after_step is not None:
                 self.run.after_step(progress)
@@ -253,7 +223,9 @@ class Trainer:
         if learner.gradient_norm_max is not None:
             nn.utils.clip_grad_norm_(learner.network.parameters(), learner.gradient_norm_max)
         learner.optimizer.step()
-        progress.add(sums)
+        progress.step += 1
+        for name, value in sums.items():
+            progress.sums[name] = progress.sums.get(name, 0) + value
 
     def _print_epoch(self, progress: Progress, phase: Phase, epochs: int, bar: tqdm) -> None:
         """Show an epoch's end: the curve so far in a terminal, a line elsewhere."""
@@ -312,13 +284,8 @@ class Trainer:
             writer.writerows(self.history)
         shards = sorted({row["file"] for row in self.videos.rows})
         inputs = [Path(run.dataset) / name for name in (MANIFEST, *shards)]
-        record = provenance_record(
-            stage,
-            inputs=[*inputs, *other_inputs],
-            config={stage: self.learner.settings},
-            seed=run.seed,
-            started=self.started,
-        )
+        made = {"config": {stage: self.learner.settings}, "seed": run.seed, "started": self.started}
+        record = provenance_record(stage, inputs=[*inputs, *other_inputs], **made)
         record["threads"] = run.threads
         for name in (*model_files, HISTORY):
             write_sidecar(self.out / name, record)

@@ -11,9 +11,9 @@ from slipstitch.base.page.figures import svg_uri
 from slipstitch.config import Config
 from slipstitch.design.grid import simulations
 from slipstitch.learning.ablation.summary import LEVEL, interval
-from slipstitch.learning.evaluation import probes
 from slipstitch.learning.evaluation.metrics import STEP, steps_off
 from slipstitch.learning.evaluation.scores import network_of
+from slipstitch.learning.evaluation.test_sets import PREFIX
 from slipstitch.report.learning_pictures import predicted_against_true
 from slipstitch.report.scores import Scores, model_title
 
@@ -28,7 +28,7 @@ def _best(rows: Mapping[str, Mapping[str, Any]], of_probes: bool) -> str | None:
     errors = {
         name: row["mean_absolute_error"]
         for name, row in rows.items()
-        if name.startswith(probes.PREFIX) == of_probes and row["mean_absolute_error"] is not None
+        if name.startswith(PREFIX) == of_probes and row["mean_absolute_error"] is not None
     }
     return min(errors, key=errors.__getitem__, default=None)
 

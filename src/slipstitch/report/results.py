@@ -22,8 +22,8 @@ from slipstitch.base.provenance import (
     read_sidecar,
 )
 from slipstitch.config import Config
-from slipstitch.dataset.images import read_frames
 from slipstitch.dataset.manifest import MANIFEST, read_manifest
+from slipstitch.dataset.videos import read_frames
 from slipstitch.design.grid import Simulation, simulations
 from slipstitch.design.trainable import trainings
 from slipstitch.physics.simulation.trajectory import read_trajectory

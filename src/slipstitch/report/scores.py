@@ -4,9 +4,10 @@ from collections.abc import Mapping
 from typing import Any
 
 from slipstitch.base.page.wording import NONE, percent, seeds_in_words
-from slipstitch.learning.evaluation import paper, probes
+from slipstitch.learning.evaluation import paper
 from slipstitch.learning.evaluation.metrics import TEST_SETS, Metric, metrics_of
 from slipstitch.learning.evaluation.scores import AVERAGE, CALIBRATED, SHIPPED, TRAINING, network_of
+from slipstitch.learning.evaluation.test_sets import NETWORK, PREFIX, WHAT
 from slipstitch.report.results import Table
 
 SPLIT_TITLES = {
@@ -34,9 +35,9 @@ TURNED = "view_"
 
 def model_title(model: str) -> str:
     """Name of a network, or of a row of metrics.json, in words."""
-    if model.startswith(probes.PREFIX):
-        what = probes.WHAT[model.removesuffix(probes.NETWORK)]
-        return f"{'small network' if model.endswith(probes.NETWORK) else 'linear probe'}, {what}"
+    if model.startswith(PREFIX):
+        what = WHAT[model.removesuffix(NETWORK)]
+        return f"{'small network' if model.endswith(NETWORK) else 'linear probe'}, {what}"
     base = model.removesuffix(CALIBRATED)
     title = NETWORK_TITLES.get(network_of(base), base.replace("_", " "))
     return title if base == model else f"{title}, fine-tuned on the calibrated view"
@@ -178,7 +179,7 @@ def _better_probes(models: Mapping[str, Mapping[str, Any]]) -> dict[str, Mapping
     """The rows of a test set, of every probe the one of its two forms with the smaller error."""
     found: dict[str, str] = {}
     for model in models:
-        name = model.removesuffix(probes.NETWORK) if model.startswith(probes.PREFIX) else model
+        name = model.removesuffix(NETWORK) if model.startswith(PREFIX) else model
         best = found.setdefault(name, model)
         if models[model]["mean_absolute_error"] is not None:
             found[name] = min(best, model, key=lambda one: models[one]["mean_absolute_error"])

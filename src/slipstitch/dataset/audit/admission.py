@@ -57,10 +57,7 @@ class Harmful(BadInput):
 
 
 def check_entries(folder: Path) -> None:
-    """Refuse a folder that holds anything but plain files and folders, or what no release can hold.
-
-    The error names the first such entry. Nothing of the folder has been opened.
-    """
+    """Refuse a folder of anything but plain files and folders, before anything is opened."""
     waiting = [(folder, 0)]
     entries = total = 0
     while waiting:
@@ -121,14 +118,8 @@ def check_nesting(folder: Path) -> None:
 def check_parquet(path: Path, images: bool) -> str | None:
     """Whether a Parquet file holds what it seems to hold, by its footer alone.
 
-    Harmful if reading it could take far more memory than it has bytes. Return what is odd but
-    harmless: bytes of the file that belong to no column.
-
-    Parameters
-    ----------
-    images : bool
-        Whether it is a shard: its images must be stored as they are, so that reading them takes no
-        more memory than the file has bytes.
+    Harmful if reading it could take far more memory than it has bytes; the `images` of a shard must
+    be stored as they are. Returns what is odd but harmless: bytes that belong to no column.
     """
     with reading(path, "Parquet file"), pq.ParquetFile(path) as file:
         footer, size = file.metadata, os.path.getsize(path)
@@ -172,11 +163,7 @@ def short_texts(batch: Any, path: Path) -> None:
 
 @contextlib.contextmanager
 def limited_memory() -> Iterator[None]:
-    """Let this process take `MEMORY_BYTES` more than it has, not the machine's whole memory.
-
-    What a file's headers claim falsely ends in a MemoryError then. BadInput where the block ends in
-    one.
-    """
+    """Let this process take `MEMORY_BYTES` more than it has; BadInput where that is too little."""
     soft, hard = resource.getrlimit(resource.RLIMIT_DATA)
     try:
         with open("/proc/self/statm", encoding="ascii") as stream:

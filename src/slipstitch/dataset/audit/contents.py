@@ -45,17 +45,10 @@ from slipstitch.dataset.release.records import (
 
 SAMPLED_MANIFEST = f"results/sample/{MANIFEST}"
 FRAMES_MAX = 1_000_000
+_TEXTS = ("video", "simulation", "material", "pixels_sha256", "sampled_file", "shard", "part")
 NEEDED_COLUMNS = {
-    "video": pa.string(),
-    "simulation": pa.string(),
-    "material": pa.string(),
-    "friction": pa.float64(),
-    "frames": pa.int32(),
-    "pixels_sha256": pa.string(),
-    "sampled_file": pa.string(),
-    "shard": pa.string(),
-    "first_row": pa.int64(),
-    "part": pa.string(),
+    **dict.fromkeys(_TEXTS, pa.string()),
+    **{"friction": pa.float64(), "frames": pa.int32(), "first_row": pa.int64()},
 }
 _OF_AN_INSTRUMENT = (
     "; the chain from the instrument that comes with Slipstitch to its simulations is in "
@@ -65,10 +58,9 @@ _OF_AN_INSTRUMENT = (
 
 @dataclass
 class Contents:
-    """A release in a folder, and what is found of it.
+    """A release in a folder, and what is found of it; what cannot be read is empty and a finding.
 
-    What cannot be read is empty here and a finding. `notes` is what the manifest says of itself,
-    `remarks` what could not be compared, or is no damage.
+    `notes` is what the manifest says of itself, `remarks` what is no damage.
     """
 
     folder: Path
@@ -171,19 +163,12 @@ class Contents:
         return {path: tuple(clips) for path, clips in (shards | found).items()}
 
     def clips_of(self, name: str) -> tuple[str, ...]:
-        """Clips that come from an artefact, or that a file of the release is about.
-
-        Manifest and verification concern all.
-        """
+        """Clips that come from an artefact, or that a file of the release is about."""
         return self._clips_of.get(name, ())
 
 
 def read_contents(folder: Path) -> Contents:
-    """Read a release.
-
-    BadInput if the folder is not there or no release: a foreign folder, one half written, or one
-    that cannot be read without harm.
-    """
+    """Read a release; BadInput if the folder is none, or cannot be read without harm."""
     if not folder.is_dir():
         raise BadInput(f"{folder}: no such folder")
     if os.path.lexists(folder / SUMS):

@@ -23,15 +23,13 @@ from slipstitch.dataset.audit.admission import (
 )
 from slipstitch.dataset.audit.contents import Contents
 from slipstitch.dataset.audit.findings import Kind, not_part
-from slipstitch.dataset.images import DATASET_SCHEMA, decode
 from slipstitch.dataset.release.checksums import files_below
 from slipstitch.dataset.release.shards import FOLDER, shard_schema
+from slipstitch.dataset.videos import DATASET_SCHEMA, decode
 
 # Labels of an image that its video's row of the manifest repeats: column there -> column here.
 SHARED = {
-    "simulation": "simulation",
-    "material": "material",
-    "friction": "friction",
+    **{name: name for name in ("simulation", "material", "friction")},
     "texture_id": "texture",
     "viewpoint_id": "viewpoint",
 }
@@ -66,7 +64,7 @@ def _batches(path: Path) -> Iterator[pa.RecordBatch]:
             yield batch
 
 
-def read_shard(path: Path, pixels: int | None = None) -> Shard:
+def decoded_shard(path: Path, pixels: int | None = None) -> Shard:
     """Decode a shard's images and take down what it says of its videos."""
     shard = Shard()
     sums: dict[str, Any] = {}
@@ -102,37 +100,9 @@ def read_shard(path: Path, pixels: int | None = None) -> Shard:
     return shard
 
 
-def admit_shards(contents: Contents) -> dict[str, str]:
-    """Shards that cannot be opened, and why; before any file is read.
-
-    BadInput if one, just as SHA256SUMS has it, would take far more memory than it has bytes.
-    """
-    problems = {}
-    for name in sorted(contents.sums):
-        path = contents.folder / name
-        if not name.startswith(f"{FOLDER}/") or not path.is_file():
-            continue
-        try:
-            check_parquet(path, images=True)
-        except BadInput as error:
-            if isinstance(error, Harmful) and contents.as_listed(name):
-                raise
-            problems[name] = str(error).removeprefix(f"{path}: ")
-    return problems
-
-
 def check_files(contents: Contents, jobs: int) -> tuple[dict[str, int], dict[str, Shard]]:
-    """Hash every file and decode every shard; remark files that are not part of the release.
-
-    Returns
-    -------
-    numbers : dict
-        ``files, bytes, images`` that were looked at.
-    shards : dict
-        Shards that could be read, by path in the release.
-    """
+    """Hash every file, decode every shard; return the numbers looked at, and the shards by path."""
     folder, sums = contents.folder, contents.sums
-    unreadable = admit_shards(contents)
     there = files_below(folder)
     _check_listing(contents, there)
     present = [name for name in there if name in sums]
@@ -141,14 +111,10 @@ def check_files(contents: Contents, jobs: int) -> tuple[dict[str, int], dict[str
     shards = [name for name in order if name.startswith(f"{FOLDER}/")]
     side = contents.config.render.pixels if contents.config else None
 
-    def read(name: str) -> Shard:
-        if name in unreadable:
-            return Shard(problem=unreadable[name])
-        return read_shard(folder / name, side)
-
     with ThreadPoolExecutor(jobs) as pool:
         digests = dict(zip(order, pool.map(lambda n: file_digest(folder / n), order), strict=True))
-        decoded = dict(zip(shards, pool.map(read, shards), strict=True))
+        read = pool.map(lambda n: decoded_shard(folder / n, side), shards)
+        decoded = dict(zip(shards, read, strict=True))
     for name, shard in decoded.items():
         if shard.grows and digests[name] == sums[name]:
             raise Harmful(f"{folder / name}: {shard.problem}")

@@ -12,7 +12,7 @@ from slipstitch.base.provenance import file_digest, read_json, read_metadata
 from slipstitch.base.provenance.files import SIDECAR_SUFFIX
 from slipstitch.dataset.audit.admission import check_entries, limited_memory
 from slipstitch.dataset.audit.findings import Finding, Kind, not_part, printable, sorted_findings
-from slipstitch.dataset.audit.staleness import other_code
+from slipstitch.dataset.audit.lineage_check import other_code
 from slipstitch.dataset.manifest import MANIFEST, read_manifest
 from slipstitch.dataset.release.records import Artefact
 
@@ -96,11 +96,9 @@ class PublishedAudit:
 def audit_published(
     folder: Path, shipped: str = "", recompute: Callable[[Path], Mapping[str, Any]] | None = None
 ) -> PublishedAudit:
-    """Audit a folder that `slipstitch publish` wrote.
+    """Audit a folder that `slipstitch publish` wrote; BadInput if it cannot be read without harm.
 
-    `shipped` is the SHA-256 of the weights that come with Slipstitch; `recompute` gives of
-    predictions their scores, to compare with the published ones. BadInput if its index cannot be
-    read, or the folder cannot be read without harm.
+    `shipped` is the SHA-256 of the shipped weights; `recompute` gives of predictions their scores.
     """
     with limited_memory():
         check_entries(folder)

@@ -82,9 +82,7 @@ def check_current(
 ) -> None:
     """Refuse to release what code, configuration or catalogue would not make now.
 
-    Simulations are held against what they were told to use: the configuration with the settings
-    that the calibration (below `root`) chose. Versions must be those of the `lock`, by which others
-    make the same again. The error names the first such file and what changed.
+    Simulations are held against the settings that the calibration (below `root`) chose.
     """
     calibrated = calibrated_by(artefacts, lambda path: root / path)
     for artefact in artefacts.values():
@@ -139,12 +137,12 @@ def write_release(
     project: str | os.PathLike,
     key: str | os.PathLike | None = None,
 ) -> Released:
-    """Write a release of the sampled dataset.
+    """Write a release of the sampled dataset, signed if there is an SSH key.
 
-    The folder `results`, with ``sample/``, ``render/`` and the others in it, was made with `config`
-    by the code of the checkout `project`; `out` must not exist yet. An SSH key signs the release.
-    BadInput if results are missing, altered or not up to date, or `out` exists; SlipstitchError if
-    the disk is full: nothing is left then.
+    `results`, with ``sample/``, ``render/`` and the others in it, was made with `config` by the
+    code of the checkout `project`; `out` must not exist yet. BadInput if results are missing,
+    altered or not up to date, or `out` exists; SlipstitchError if the disk is full: nothing is left
+    then.
     """
     started = start_clock()
     results, out = Path(results), Path(out)

@@ -34,10 +34,7 @@ def check_key(key: str | os.PathLike) -> None:
 
 
 def sign(folder: Path, key: str | os.PathLike) -> None:
-    """Write ``SHA256SUMS.sig`` beside the sums of a release; SlipstitchError if it cannot sign.
-
-    The key is a private SSH key, or a public one whose private half an agent holds.
-    """
+    """Write ``SHA256SUMS.sig`` with an SSH key, private or in an agent; else SlipstitchError."""
     words = ["-Y", "sign", "-q", "-n", NAMESPACE, "-f", os.fspath(key), str(folder / SUMS)]
     answer = subprocess.run([_tool(), *words], capture_output=True, text=True)
     if answer.returncode != 0 or not (folder / SIGNATURE).is_file():
@@ -46,11 +43,9 @@ def sign(folder: Path, key: str | os.PathLike) -> None:
 
 
 def verify(folder: Path, signers: Path) -> tuple[str | None, str | None]:
-    """Verify the signature of a release.
+    """Verify the signature of a release; return who signed it and None, or None and what is wrong.
 
-    BadInput if there is no such file of signers, or no ``ssh-keygen``. Return who signed it and
-    None, or None and what is wrong instead. The file of signers says who may sign, as
-    ``ssh-keygen`` wants it: lines of a name and a public key.
+    `signers` has lines of a name and a public key; BadInput without them, or ``ssh-keygen``.
     """
     tool = _tool()
     if not signers.is_file():
@@ -102,10 +97,7 @@ def write_sums(folder: Path) -> str:
 
 
 def read_sums(folder: Path) -> Mapping[str, str]:
-    """Relative path -> digest.
-
-    BadInput if the file is missing, not of this format, or names a file outside the folder.
-    """
+    """Relative path -> digest; BadInput if the file is none, or names one outside the folder."""
     try:
         text = (folder / SUMS).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):

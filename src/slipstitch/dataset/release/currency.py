@@ -14,7 +14,6 @@ from slipstitch.base.provenance.code import RESULT_PACKAGES
 from slipstitch.config import Config, resolve_config
 from slipstitch.config.catalogue import catalogue_entries
 from slipstitch.config.load import calibrated_settings
-from slipstitch.config.simulation import SimulationSettings
 from slipstitch.dataset.release.records import Artefact
 from slipstitch.physics.fabric import fabric_digest
 
@@ -30,10 +29,7 @@ _IGNORED = shutil.ignore_patterns("__pycache__", "*.pyc", "*.tmp", "*.swp", "*~"
 
 
 def check_project(project: str | os.PathLike) -> Path:
-    """The folder of the Snakefile.
-
-    BadInput if it is none, or a checkout that the running code does not come from.
-    """
+    """The folder of the Snakefile; BadInput if it is none, or of other code than runs."""
     folder = Path(project).resolve()
     for name in _NEEDED:
         if not (folder / name).exists():
@@ -79,8 +75,7 @@ def current_digest(
 ) -> str | None:
     """Digest of the stage's code; None if there is no such stage, or it cannot be read.
 
-    The root is the folder of the package, the running one by default; `versions` are by package, as
-    a record states them, by default what is installed.
+    The root is the folder of the package; `versions` are by package, by default what is installed.
     """
     stated = None
     if versions is not None:
@@ -106,53 +101,28 @@ def config_changes(
 ) -> list[str]:
     """Configuration values that the artefact was made with and that are others now.
 
-    Return them as ``key: recorded -> now``. Only keys that the record holds, and that there still
-    are, are compared.
-
-    Parameters
-    ----------
-    calibrated : mapping
-        Path of a calibration, as records call it -> the settings that it chose. A simulation that
-        was made from it was told to use these instead of those of `config`.
+    As ``key: recorded -> now``, of keys that the record holds and that there still are.
+    `calibrated` has, by the path of a calibration, the settings that it chose: a simulation made
+    from it was told to use these instead of those of `config`.
     """
     recorded = artefact.record.get("config", {})
     now = config.model_dump(mode="json")
-    now["simulation"] = calibrated_simulation(artefact, config, calibrated).model_dump(mode="json")
+    told = config.model_dump(mode="json")
+    for path in artefact.inputs:
+        told["simulation"] |= calibrated.get(path, {})
+    # With the other sections: fewer frames than the default samples would be refused alone.
+    now["simulation"] = resolve_config(told).simulation.model_dump(mode="json")
     changes: list[str] = []
     for section, value in recorded.items():
         if section in now and isinstance(value, Mapping) == isinstance(now[section], Mapping):
             of_others = section == "render" and ONE_VIEW in recorded
             skip = NO_INPUT | (NOT_IN_A_SHARD if of_others else frozenset())
-            changes += _differences(section, _of_today(value, now[section]), now[section], skip)
+            changes += _differences(section, value, now[section], skip, gone=False)
     return changes
 
 
-def _of_today(then: Any, now: Any) -> Any:
-    """Recorded settings without keys of before, which have become part of the code."""
-    if not (isinstance(then, Mapping) and isinstance(now, Mapping)):
-        return then
-    return {key: _of_today(value, now[key]) for key, value in then.items() if key in now}
-
-
-def calibrated_simulation(
-    artefact: Artefact, config: Config, calibrated: Mapping[str, Mapping[str, Any]]
-) -> SimulationSettings:
-    """What a simulation was told to use: the configured settings, as its calibration chose.
-
-    BadInput if the calibration's settings are none.
-    """
-    whole = config.model_dump(mode="json")
-    for path in artefact.inputs:
-        whole["simulation"] |= calibrated.get(path, {})
-    # With the other sections: fewer frames than the default samples would be refused alone.
-    return resolve_config(whole).simulation
-
-
 def calibrated_by(artefacts: Iterable[str], place: Callable[[str], Path]) -> dict[str, dict]:
-    """The settings that calibrations among artefacts chose, by path.
-
-    BadInput if a calibration is missing or damaged.
-    """
+    """The settings that calibrations among artefacts chose, by path; BadInput if one is damaged."""
     return {
         path: calibrated_settings(place(path))
         for path in artefacts
@@ -168,25 +138,24 @@ def recorded_entries(artefact: Artefact) -> dict[str, dict[str, Any]]:
 
 
 def catalogue_changes(artefact: Artefact) -> list[str]:
-    """Entries of the catalogue that the artefact was made with and that are others now.
-
-    Return them as ``catalogue.kind.name: recorded -> now``.
-    """
+    """Entries of the catalogue that are others now, as ``catalogue.kind.name: recorded -> now``."""
     then = recorded_entries(artefact)
     named = {kind: then.get(kind, ()) for kind in ("viewpoints", "textures", "floors")}
     now = {
         "fabrics": {name: fabric_digest(name) for name in then.get("fabrics", ())},
         **catalogue_entries(**named),
     }
-    return list(_differences("catalogue", then, now, frozenset()))
+    return list(_differences("catalogue", then, now))
 
 
-def _differences(name: str, then: Any, now: Any, skip: frozenset[str]) -> Iterator[str]:
+def _differences(
+    name: str, then: Any, now: Any, skip: frozenset[str] = frozenset(), gone: bool = True
+) -> Iterator[str]:
+    """Values that differ; where `gone`, also keys of before that are part of the code now."""
     if isinstance(then, Mapping) and isinstance(now, Mapping):
         for key in then:
-            if key not in skip:
-                yield from _differences(
-                    f"{name}.{key}", then[key], now.get(key, "no such key"), frozenset()
-                )
+            if key not in skip and (gone or key in now):
+                other = now.get(key, "no such key")
+                yield from _differences(f"{name}.{key}", then[key], other, gone=gone)
     elif then != now:
         yield f"{name}: {shortened(str(then), 60)} -> {shortened(str(now), 60)}"

@@ -39,20 +39,8 @@ _NO_LABELS = frozenset(
 )
 _NO_LABEL_PREFIXES = (PREFIX, SAMPLED)
 _MOST_VALUES = 24
+_COUNTED = ("simulation", "material", "friction", "frames", "pixels")
 _SIZES = ((1e3, "n<1K"), (1e4, "1K<n<10K"), (1e5, "10K<n<100K"), (1e6, "100K<n<1M"))
-
-
-def data_files(
-    parts: Mapping[str, Mapping[str, Sequence[str]]],
-) -> dict[tuple[str, str], list[str] | str]:
-    """(Split, side) -> patterns of the files that Hugging Face datasets loads for it."""
-    files: dict[tuple[str, str], list[str] | str] = {
-        (split, side): [f"data/{part}-*.parquet" for part in names]
-        for split, sides in parts.items()
-        for side, names in sides.items()
-    }
-    files["everything", "videos"] = "data/part*.parquet"
-    return files
 
 
 def front_matter(
@@ -63,7 +51,13 @@ def front_matter(
 ) -> str:
     """The YAML block by which Hugging Face datasets finds the splits."""
     configs: dict[str, dict[str, Any]] = {}
-    for (split, side), path in data_files(parts).items():
+    files: dict[tuple[str, str], list[str] | str] = {
+        (split, side): [f"data/{part}-*.parquet" for part in names]
+        for split, sides in parts.items()
+        for side, names in sides.items()
+    }
+    files["everything", "videos"] = "data/part*.parquet"
+    for (split, side), path in files.items():
         entry = configs.setdefault(split, {"config_name": split, "data_files": []})
         entry["data_files"].append({"split": side, "path": path})
     configs[default]["default"] = True
@@ -161,13 +155,8 @@ def card_of(
         default=default,
         images=images,
         videos=len(rows),
-        values={
-            name: sorted({row[name] for row in rows})
-            for name in ("simulation", "material", "friction")
-        },
+        values={name: sorted({row[name] for row in rows}) for name in _COUNTED},
         varied=varied(rows),
-        frames=sorted({row["frames"] for row in rows}),
-        pixels=sorted({row["pixels"] for row in rows}),
         splits=split_table(rows, list(sides)),
         sides=SIDES,
         manifest_columns=[(name, described(name)) for name in rows[0]],

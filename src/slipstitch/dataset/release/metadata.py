@@ -115,10 +115,7 @@ def croissant(folder: Path, facts: Mapping[str, Any]) -> mlc.Metadata:
 
 
 def croissant_text(folder: Path, facts: Mapping[str, Any]) -> str:
-    """Text of ``croissant.json``; mlcroissant has checked it against the specification then.
-
-    SlipstitchError if it finds an error.
-    """
+    """Text of ``croissant.json``, which mlcroissant has checked; SlipstitchError if it is wrong."""
     try:
         content = croissant(folder, facts).to_json()
     except mlc.ValidationError as error:

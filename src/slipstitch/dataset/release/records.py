@@ -87,10 +87,7 @@ def rows_digest(path: str | os.PathLike) -> str:
 
 
 def read_artefact(path: str, place: Path) -> Artefact:
-    """The record of the file at `place`, which records call `path`.
-
-    BadInput if it is not there or damaged.
-    """
+    """The record of the file at `place`, which records call `path`; BadInput if it has none."""
     if not place.is_file():
         raise BadInput(f"{path}: no such file; make it with: snakemake --cores 2 sample")
     parquet = place.suffix == ".parquet"
@@ -130,9 +127,8 @@ def locate(path: str, root: Path, outside: Mapping[str, Path]) -> Path:
 def collect(start: Iterable[str], root: Path, outside: Mapping[str, Path]) -> dict[str, Artefact]:
     """Records of the artefacts `start` and of everything behind them, by path, inputs first.
 
-    Paths are as records call them, relative to `root`; `outside` says where files are that a record
-    calls by their name alone, because they lie elsewhere. BadInput if a file is missing, or is no
-    longer the one that something was made from.
+    Paths are as records call them, relative to `root`; `outside` says where files from elsewhere
+    are. BadInput if a file is missing, or no longer the one that something was made from.
     """
     found: dict[str, Artefact] = {}
 
@@ -166,10 +162,7 @@ def record_file(path: str) -> str:
 
 
 def is_carried(artefact: Artefact) -> bool:
-    """Whether a release carries the artefact whole: simulations, small text, files from outside.
-
-    Releases of before carry no simulations.
-    """
+    """Whether a release carries the artefact whole: simulations, small text, files from outside."""
     path = artefact.path
     return not is_ours(path) or path.startswith(_SIMULATE) or path.endswith((".json", ".yaml"))
 

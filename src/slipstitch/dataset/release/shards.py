@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw, ImageFont
 from slipstitch.base.errors import BadInput
 from slipstitch.base.page.wording import evenly
 from slipstitch.base.provenance import read_parquet
-from slipstitch.dataset.images import decode
+from slipstitch.dataset.videos import decode
 
 PREVIEWS = "previews"
 NAMES = ("fabrics_by_friction", "viewpoints_by_texture", "through_time")
@@ -200,11 +200,9 @@ def write_shards(
     shard_mb: float,
     progress=iter,
 ) -> dict[str, dict[str, Any]]:
-    """Write all images, part by part; BadInput if a video is not where the manifest says.
+    """Write all images to ``data/`` in `out`; return by video ``shard`` and ``first_row`` in it.
 
-    The `rows` are of the manifest of the sample stage, whose folder is `sample_dir`; shards go to
-    ``data/`` in `out`; `progress` wraps the list of files. Return by video the ``shard`` (path in
-    the release) and the ``first_row`` in it.
+    BadInput if a video is not where the manifest, whose `rows` these are, says.
     """
     folder = out / FOLDER
     folder.mkdir()

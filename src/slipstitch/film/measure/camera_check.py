@@ -11,7 +11,7 @@ from slipstitch.base.page.palette import BLUE, INK, SOFT, VERMILION
 from slipstitch.film.measure import SHIPPED
 from slipstitch.film.measure.measuring_bench import MeasuringBench, opened_bench
 from slipstitch.film.stage_video import problem_of_view, seen_shares
-from slipstitch.images.bench_camera import BenchCamera
+from slipstitch.images.calibrated_view import BenchCamera
 from slipstitch.images.camera import AIM_M, POSE
 from slipstitch.learning.instrument.measuring import CARD
 from slipstitch.learning.instrument.poses import TITLES, TOLERANCE, in_words, just_beyond, outside

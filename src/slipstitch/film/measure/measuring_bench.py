@@ -17,7 +17,7 @@ from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.measure import SHIPPED
 from slipstitch.film.measure.clamp_height import ASSUMED_M, READING_PER_M, ClampHeight, SeenClamps
 from slipstitch.film.stage_video import StageVideo, problem_of_view, read_stage_video, seen_shares
-from slipstitch.images.bench_camera import POSITION_SD_M, ROTATION_SD_DEG
+from slipstitch.images.calibrated_view import POSITION_SD_M, ROTATION_SD_DEG
 from slipstitch.images.camera import AIM_M, POSE, Camera, relative_pose
 from slipstitch.images.camera_file import read_camera_file, stated_height_error_m
 from slipstitch.learning.instrument.distribution import quantiles

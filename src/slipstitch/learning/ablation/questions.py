@@ -68,10 +68,7 @@ class Candidates:
         return _ids(self.held_out, counts)
 
     def dealt(self, simulations: list[Row], generator: np.random.Generator) -> dict[str, str]:
-        """Return a texture for each simulation, all equally often among those of a coefficient.
-
-        So no texture gives a coefficient away.
-        """
+        """Return a texture for each simulation, such that none gives a coefficient away."""
         by_friction: dict[str, set[str]] = defaultdict(set)
         for row in simulations:
             by_friction[row["friction_id"]].add(row["simulation"])
@@ -90,8 +87,7 @@ def _ids(rows: list[Row], counts: Callable[[Row], bool]) -> Videos:
 def _diversity(videos: Candidates, generator: np.random.Generator) -> Selection:
     """Replicates against textures at an equal number of videos.
 
-    Both variants see every texture equally often: the replicates' textures are dealt among them.
-    With one texture for all, the test videos' other textures would be new to one variant only.
+    Both variants see every texture equally often: else the test videos would be new to one only.
     """
     pairs = videos.simulations()
     fewest = min(map(len, pairs.values()))
@@ -122,10 +118,9 @@ def _diversity(videos: Candidates, generator: np.random.Generator) -> Selection:
 def _floors(videos: Candidates, generator: np.random.Generator) -> Selection:
     """Matte floors only, against half of them exchanged for mirroring ones.
 
-    Each exchanged simulation makes room for one with the same friction coefficient, and the same
-    material where there is one, so that both variants have as many of every coefficient.
-    Coefficients with fewer than two matte or no reflective training simulations are left out, in
-    the tests too.
+    An exchanged simulation makes room for one of the same friction coefficient, and material if
+    there is one. Coefficients with fewer than two matte or no reflective ones are left out, in
+    tests too.
     """
     matte: dict[str, list[Row]] = defaultdict(list)
     mirrors: dict[str, list[Row]] = defaultdict(list)
@@ -234,9 +229,8 @@ def selected(
 ) -> tuple[list[str], Selection]:
     """Return the viewpoints of a question, and its videos.
 
-    `rows` are those of the manifest, `viewpoints` those that train, the calibrated one first. The
-    seed draws which videos train, where there is a choice: so the spread over seeds holds it too.
-    BadInput, with what is needed, if the dataset cannot answer the question.
+    Of the manifest's rows and the training viewpoints, the calibrated one first; the seed draws
+    which videos train. BadInput, with what is needed, if the dataset cannot answer the question.
     """
     question = QUESTIONS[name]
     if not set(VARIANTS[name]) & set(settings.networks):

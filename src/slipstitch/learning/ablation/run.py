@@ -16,7 +16,7 @@ from slipstitch.design.trainable import view_order
 from slipstitch.learning.ablation.questions import QUESTIONS, selected
 from slipstitch.learning.instrument.measuring import Instrument, load_instrument
 from slipstitch.learning.instrument.training import train_instrument
-from slipstitch.learning.lrcn_model import TRUE, LrcnModel, load_model
+from slipstitch.learning.lrcn import TRUE, LrcnModel, load_model
 from slipstitch.learning.lrcn_training import train_network
 from slipstitch.learning.schedule import FINE_TUNING, Phase
 from slipstitch.learning.trainer import DivergedError, Run
@@ -33,10 +33,7 @@ class Case:
 
 
 def lrcn_settings(config: Config, overrides: dict[str, Any]) -> TrainSettings:
-    """Return the section `train` with the overrides of the ablation and of a variant.
-
-    A run that stays at chance is a result here, so that it does not fail.
-    """
+    """Return the section `train` with overrides; staying at chance is a result, no failure."""
     whole = config.train.model_dump() | config.ablate.train | overrides
     return TrainSettings.model_validate(whole | {"plateau_margin": None})
 
@@ -69,18 +66,10 @@ def run_case(
 ) -> dict[str, Any]:
     """Train a variant, its models in a folder, and test it.
 
-    Returns
-    -------
-    dict
-        The case, ``dataset_digest``; ``left_out``, why the dataset cannot answer the question; the
-        training: ``phrase, training_videos, training_simulations, passes, failure,
-        stayed_at_chance``; and ``predictions``, a list of ``tested_on, video, simulation, true,
-        predicted``.
-
-    Raises
-    ------
-    BadInput
-        If the dataset cannot answer a question that the configuration names.
+    Returns the case, ``dataset_digest``; ``left_out``, why the dataset cannot answer the question;
+    the training: ``phrase, training_videos, training_simulations, passes, failure,
+    stayed_at_chance``; and ``predictions``, a list of ``tested_on, video, simulation, true,
+    predicted``. BadInput if the dataset cannot answer a question that the configuration names.
     """
     rows, digest = read_manifest(dataset)
     result: dict[str, Any] = asdict(case) | {"dataset_digest": digest, "left_out": None}
@@ -136,16 +125,15 @@ def _predictions(
     tested = frozenset().union(*tests.values())
     videos = read_videos(dataset, lambda row: row["video"] in tested)
     predictions = model.predict(videos)
-    return [
-        {
-            "tested_on": name,
-            "video": row["video"],
-            "simulation": row["simulation"],
-            "true": row["friction"],
-            "predicted": prediction.friction_coefficient,
-        }
-        for name, ids in tests.items()
+    rows = [
+        {"video": row["video"], "simulation": row["simulation"], "true": row["friction"]}
+        | {"predicted": prediction.friction_coefficient}
         for row, prediction in zip(videos.rows, predictions, strict=True)
+    ]
+    return [
+        {"tested_on": name} | row
+        for name, ids in tests.items()
+        for row in rows
         if row["video"] in ids
     ]
 
@@ -166,7 +154,7 @@ def _lrcn(
         return train("friction_conditional", "friction", TRUE)
     material = train("material_baseline", "material")
     friction = train("friction_conditional", "friction", Path(run.out) / "material")
-    return friction.listening_to(material)
+    return dataclasses.replace(friction, material=material)
 
 
 def _instrument(config: Config, run: Run, views: list[str]) -> Instrument:

@@ -58,10 +58,9 @@ def interval(differences: np.ndarray) -> tuple[float, float, float]:
 
     Seeds and simulations are random effects, crossed: with mean squares of rows, columns and
     remainder, the variance of the mean is (MS_seeds + MS_simulations - MS_rest) / (S N), its
-    degrees of freedom those of Satterthwaite (1946); Student's t. A bootstrap over as few as three
-    seeds would be too narrow: where seeds differ as much as simulations do, its 90 % interval holds
-    76 % of the time, this one 87 %. With one seed the interval counts simulations only; its ends
-    are infinite where one simulation says nothing of others.
+    degrees of freedom those of Satterthwaite (1946); Student's t. A bootstrap over three seeds
+    would be too narrow: its 90 % interval holds 76 % of the time, this one 87 %. With one seed the
+    interval counts simulations only; its ends are infinite where there is one simulation.
     """
     seeds, simulations = differences.shape
     mean = float(differences.mean())
@@ -86,11 +85,7 @@ def interval(differences: np.ndarray) -> tuple[float, float, float]:
 
 
 def summarise(cases: Sequence[Row]) -> dict[str, Any]:
-    """Return all questions' rows, comparisons and conclusions: the content of ablate.json.
-
-    `cases` are what `slipstitch.learning.ablation.run.run_case` returned, for all variants and
-    seeds; BadInput if they are of different datasets.
-    """
+    """Return the content of ablate.json from what `run.run_case` returned, of one dataset."""
     if len({case["dataset_digest"] for case in cases}) > 1:
         raise BadInput("the results are from different datasets; rerun all questions")
     questions: dict[str, Any] = {}
@@ -104,12 +99,8 @@ def summarise(cases: Sequence[Row]) -> dict[str, Any]:
             rows += [reference, *map(_row, others)]
             comparisons += [_comparison(first, other, reference, _row(other)) for other in others]
         asks = None if left_out else QUESTIONS[name].asks
-        questions[name] = {
-            "asks": asks,
-            "left_out": left_out,
-            "rows": rows,
-            "comparisons": comparisons,
-        }
+        told = {"rows": rows, "comparisons": comparisons}
+        questions[name] = {"asks": asks, "left_out": left_out, **told}
     return {
         "level": LEVEL,
         "seeds": sorted({case["seed"] for case in cases}),
@@ -161,9 +152,7 @@ def _comparison(first: list[Row], second: list[Row], reference: Row, row: Row) -
             pairs.append([errors[name] - others[name] for name in sorted(errors)])
     mean, low, high = interval(np.array(pairs)) if pairs else (None, -math.inf, math.inf)
     found = {
-        "network": row["network"],
-        "tested_on": row["tested_on"],
-        "variant": row["variant"],
+        **{name: row[name] for name in ("network", "tested_on", "variant")},
         "reference": reference["variant"],
         "seeds": len(pairs),
         "simulations": len(pairs[0]) if pairs else 0,
@@ -280,10 +269,7 @@ def _picture(comparisons: list[Mapping[str, Any]]) -> Figure | None:
 def write_summary(
     config: Config, folder: str | Path, out: str | Path, page: str | Path | None = None
 ) -> dict[str, Any]:
-    """Write the summary of ``{question}/{network}_{variant}_seed{seed}.json`` and its page.
-
-    BadInput if a result is missing, damaged, or of another case or dataset.
-    """
+    """Write the summary of all results, and its page; BadInput if one cannot be used."""
     started = start_clock()
     paths = [Path(folder) / path for path in config.ablate.results]
     summary = summarise([_read(path) for path in paths])

@@ -3,7 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -21,8 +21,6 @@ from slipstitch.base.provenance import (
 from slipstitch.config.train import TRAINED_ON
 from slipstitch.dataset.manifest import MANIFEST, read_manifest
 from slipstitch.dataset.videos import Videos, read_videos, takes_part
-from slipstitch.learning.classes import classes_of
-from slipstitch.learning.evaluation.probes import probes
 from slipstitch.learning.evaluation.scores import (
     AVERAGE,
     ENSEMBLE,
@@ -36,22 +34,14 @@ from slipstitch.learning.evaluation.scores import (
     predicts_material_alone,
     read_table,
 )
-from slipstitch.learning.evaluation.test_sets import evaluation_sets, wrong_inputs
+from slipstitch.learning.evaluation.test_sets import evaluation_sets, probes, wrong_inputs
 from slipstitch.learning.evaluation.trained import Key, Trained
 from slipstitch.learning.instrument.measuring import Instrument, load_instrument
-from slipstitch.learning.lrcn_model import LrcnModel
-from slipstitch.learning.prediction import Prediction
+from slipstitch.learning.lrcn import LrcnModel
+from slipstitch.learning.prediction import Prediction, classes_of
 from slipstitch.learning.torch_setup import set_up_torch
 
 Row = dict[str, Any]
-
-
-class Outputs(NamedTuple):
-    """Files of an evaluation."""
-
-    metrics: str | Path
-    predictions: str | Path
-    details: str | Path
 
 
 @dataclass
@@ -115,10 +105,7 @@ def prediction_row(
 
 
 def predicted_table(dataset: str | Path, models: Mapping[Key, LrcnModel | Instrument]) -> Table:
-    """Return the predictions of models on all their test sets of a dataset.
-
-    BadInput if a model was trained on other data, or files are damaged.
-    """
+    """Return the predictions of models on all their test sets; BadInput if of other data."""
     manifest, _ = read_manifest(dataset)
     table = Table()
     trained_on = {key[0] for key in models}
@@ -156,11 +143,7 @@ def predicted_table(dataset: str | Path, models: Mapping[Key, LrcnModel | Instru
 
 
 def alarm_rates(instrument: Instrument, videos: Videos) -> dict[str, float]:
-    """Return shares of alarms on test videos, kind by kind of wrong input made from them.
-
-    ``good`` is the share of false alarms. Videos of other training viewpoints are wrong inputs
-    too.
-    """
+    """Return shares of alarms, by kind of wrong input, also other views; ``good``: false ones."""
     mine = np.array([row["viewpoint"] in instrument.card["viewpoints"] for row in videos.rows])
     own = instrument.frames_of(videos.chosen(mine))
     kinds = {
@@ -186,27 +169,26 @@ def probe_table(dataset: str | Path) -> Table:
 
 
 def write_evaluation(
-    dataset: str | Path, trained: Trained, out: Outputs, update: bool = False, threads: int = 1
+    dataset: str | Path,
+    trained: Trained,
+    out: tuple[Path, Path, Path],
+    update: bool = False,
+    threads: int = 1,
 ) -> dict[str, Any]:
-    """Write predictions.parquet and its scores, metrics.json and details.json; return the metrics.
+    """Write scores, predictions and details, as `out` names these files; return the scores.
 
     With `update`, what these files say of models that are unchanged stays, as of the dataset's
-    probes, and only kinds of models (networks, instruments, their averages) of which one is new or
-    changed predict. Of averages that differ in their conformal scale alone
-    (`slipstitch.learning.instrument.ensemble.recalibrate_instrument`) no image is needed.
-
-    Raises
-    ------
-    BadInput
-        If a model is missing its partner, was trained on other data, files are damaged, or what
-        must tell nothing of friction tells it (see `slipstitch.learning.evaluation.probes`); with
-        `update` also if the files are of another dataset.
+    probes, and only kinds of models of which one is new or changed predict; of averages that differ
+    in their conformal scale alone no image is needed. BadInput if a model is missing its partner or
+    was trained on other data, files are damaged or, with `update`, of another dataset, or what must
+    tell nothing of friction tells it (`test_sets.probe_split`).
     """
     started = start_clock()
     set_up_torch(threads)
     manifest = Path(dataset) / MANIFEST
     files = trained.files()
-    before = _scored_before(manifest, out.metrics) if update else {}
+    metrics_file, predictions_file, details_file = out
+    before = _scored_before(manifest, metrics_file) if update else {}
     kept = {
         kind
         for kind, paths in files.items()
@@ -219,7 +201,7 @@ def write_evaluation(
     rows, _ = read_manifest(dataset)
     if kept:
         again = {row["network"] for row in table.rows}
-        table.add(_written(out, rescaled), again)
+        table.add(_written(predictions_file, details_file, rescaled), again)
     else:
         table.add(probe_table(dataset), ())
     order = [test.name for test in evaluation_sets(rows)]
@@ -239,10 +221,10 @@ def write_evaluation(
         inputs=[manifest, *(path for paths in files.values() for path in paths)],
         started=started,
     )
-    write_json(out.metrics, metrics, record)
-    write_json(out.details, details, record)
+    write_json(metrics_file, metrics, record)
+    write_json(details_file, details, record)
     predictions = pa.Table.from_pylist(found, schema=SCHEMA)
-    write_parquet(predictions, out.predictions, {"models": table.models}, record)
+    write_parquet(predictions, predictions_file, {"models": table.models}, record)
     return metrics
 
 
@@ -267,11 +249,11 @@ def _rescaled_since(averages: Sequence[Path], before: Mapping[str, str]) -> list
     return now if known <= {*before.values()} else []
 
 
-def _written(out: Outputs, rescaled: Sequence[Instrument]) -> Table:
+def _written(predictions: Path, details: Path, rescaled: Sequence[Instrument]) -> Table:
     """The table of before, with the intervals that averages give now."""
-    rows, notes = read_table(out.predictions)
+    rows, notes = read_table(predictions)
     table = Table(rows, notes["models"])
-    for test, networks in read_json(out.details).items():
+    for test, networks in read_json(details).items():
         found = {name: one["alarms"] for name, one in networks.items() if "alarms" in one}
         table.alarms |= {test: found} if found else {}
     for instrument in rescaled:

@@ -12,8 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from slipstitch.base.page.wording import number, percent
-from slipstitch.learning.instrument.conformal import covered
+from slipstitch.base.page.wording import aligned, number, percent
 
 TEST_SETS, CAPTURES = "test sets", "captures"
 #: Of the paper's grid of mu, in which errors are counted.
@@ -66,9 +65,7 @@ class Metric:
     """One row of the list."""
 
     name: str  # its key in metrics.json
-    # what it is computed from; ``capture`` has what only captures have: references with errors and
-    # pairs
-    kind: str
+    kind: str  # what it is computed from; ``capture``: references with errors, and pairs
     unit: str  # shares are 0 ... 1 in files and shown in %
     compute: Callable[[PredictionsAndTruth], float]  # `PredictionsAndTruth` -> float
     heading: str  # of a column of a page
@@ -150,6 +147,17 @@ def scores_of(
     }
 
 
+def covered(
+    low: np.ndarray, high: np.ndarray, truth: np.ndarray, groups: Sequence[str]
+) -> tuple[float, float]:
+    """Share of truths inside their intervals, each group counting once, and its standard error."""
+    inside = (low - 1e-12 <= truth) & (truth <= high + 1e-12)
+    names = np.asarray(groups)
+    shares = np.array([inside[names == name].mean() for name in np.unique(names)])
+    error = shares.std(ddof=1) / np.sqrt(len(shares)) if len(shares) > 1 else float("nan")
+    return float(shares.mean()), float(error)
+
+
 def distance(friction: ArrayLike, reference: ArrayLike, error: ArrayLike) -> np.ndarray:
     """Distance of predictions from the intervals reference +- error."""
     return np.maximum(np.abs(np.subtract(friction, reference)) - error, 0.0)
@@ -158,17 +166,13 @@ def distance(friction: ArrayLike, reference: ArrayLike, error: ArrayLike) -> np.
 def steps_off(predicted: ArrayLike, true: ArrayLike) -> np.ndarray:
     """Error in steps of the paper's grid: |predicted - true| / `STEP` rounded half up, int64.
 
-    The paper's "error < 0.1" on its grid of 0.1 is 0 steps (the exact class), "error < 0.2" at most
-    1 step (the class or a neighbour), so that off the grid |error| < 0.05 and < 0.15 count.
+    The paper's "error < 0.1" is 0 steps, "error < 0.2" at most 1: < 0.05 and < 0.15 off the grid.
     """
     return np.floor(np.abs(np.subtract(predicted, true)) / STEP + 0.5 + 1e-9).astype(np.int64)
 
 
 def friction_scores(predicted: np.ndarray, true: np.ndarray) -> dict[str, float]:
-    """Return ``friction_lt_0.1``, ``friction_lt_0.2`` (shares) and ``mean_absolute_error``.
-
-    Of predicted friction coefficients and the true ones, on the grid or off it.
-    """
+    """Return the metrics of predicted and true friction coefficients, on the grid or off it."""
     return scores_of(PredictionsAndTruth(predicted, true), "friction")
 
 
@@ -205,31 +209,25 @@ def entry(n: int, seeds: list[int], *scores: dict[str, float]) -> dict[str, Any]
 
 def test_set_lines(metrics: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> list[str]:
     """Every test set and model of evaluate/metrics.json, a line each."""
-    return _lines(metrics, "split", 16, 27, 5, metrics_of(TEST_SETS))
+    return _lines(metrics, "split", metrics_of(TEST_SETS))
 
 
 def capture_lines(metrics: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> list[str]:
     """Every subset of the captures and model of captures/metrics.json, a line each."""
     columns = [metric for metric in metrics_of(CAPTURES, "friction", "capture") if metric.column]
-    return _lines(metrics, "captures", 22, 38, 4, columns)
+    return _lines(metrics, "captures", columns)
 
 
-def _lines(metrics, head: str, first: int, second: int, count: int, columns: list[Metric]):
-    lines = [f"{head:<{first}} {'model':<{second}} {'n':>{count}}"]
-    lines[0] += "".join(f" {metric.column:>{_width(metric)}}" for metric in columns)
+def _lines(metrics, head: str, columns: list[Metric]) -> list[str]:
+    rows = [[head, "model", "n", *(metric.column for metric in columns)]]
     for of, models in metrics.items():
         for model, row in models.items():
-            cells = "".join(f" {_cell(metric, row[metric.name])}" for metric in columns)
-            lines.append(f"{of:<{first}} {model:<{second}} {row['n']:>{count}}{cells}")
-    return lines
+            cells = [_cell(row[metric.name], metric.unit) for metric in columns]
+            rows.append([of, model, str(row["n"]), *cells])
+    return aligned(rows)
 
 
-def _width(metric: Metric) -> int:
-    return max(7, len(metric.column) + 1)
-
-
-def _cell(metric: Metric, value: float | None) -> str:
-    shown = "-" if value is None else f"{value:.4f}"
-    if value is not None and metric.unit == "%":
-        shown = f"{100 * value:.1f}%"
-    return f"{shown:>{_width(metric)}}"
+def _cell(value: float | None, unit: str) -> str:
+    if value is None:
+        return "-"
+    return f"{100 * value:.1f}%" if unit == "%" else f"{value:.4f}"

@@ -46,16 +46,13 @@ SCHEMA = pa.schema(
         # test set, on what the model was trained, which
         *((name, pa.string()) for name in ("split", "trained_on", "network")),
         ("seed", pa.int32()),  # null: an average
-        ("true", pa.string()),  # id of the fabric or coefficient
-        ("predicted", pa.string()),
-        ("true_value", pa.float64()),
-        ("predicted_value", pa.float64()),
+        *((name, pa.string()) for name in ("true", "predicted")),  # ids of fabric or coefficient
+        *((name, pa.float64()) for name in ("true_value", "predicted_value")),
         ("probabilities", pa.list_(pa.float64())),  # of classes; an instrument's on its grid
         ("material", pa.string()),  # the true one
         ("fabrics", pa.list_(pa.string())),  # predicted, from the likeliest on
         ("likeliest_material", pa.string()),  # of them, by an instrument
-        ("low", pa.float64()),  # of the interval
-        ("high", pa.float64()),
+        *((name, pa.float64()) for name in ("low", "high")),  # of the interval
         ("alarm", pa.string()),  # its reason, empty without
     ]
 )
@@ -105,11 +102,9 @@ def answers_of(rows: Sequence[Row]) -> PredictionsAndTruth:
 
 
 def scores(rows: Sequence[Row]) -> dict[str, float]:
-    """Return the scores of one model and seed on some videos.
+    """Return the scores of one model and seed on some videos: those of test sets in `METRICS`.
 
-    Those of `metrics.METRICS` for test sets; fabrics only where all are ones that the model knows.
-    Of an instrument also ``alarm_rate`` and, with more than one simulation, the standard error of
-    the coverage, ``coverage_90_error``; every simulation counts once.
+    Of an instrument also ``alarm_rate`` and, with several simulations, ``coverage_90_error``.
     """
     answers = answers_of(rows)
     result: dict[str, float] = {}
@@ -137,8 +132,7 @@ def scores_by_seed(rows: Sequence[Row]) -> dict[str, dict[str, float]]:
 def metrics_of_table(rows: Sequence[Row], models: Mapping[str, Any]) -> dict[str, Any]:
     """Return the content of metrics.json: ``{test set: {model: {field: number or None}}}``.
 
-    Rows are those of `SCHEMA`; `models` is ``{trained_on: {network: {"seeds": [...]}}}`` of
-    averages.
+    Of rows as `SCHEMA`; `models` is ``{trained_on: {network: {"seeds": [...]}}}`` of averages.
     """
     metrics: dict[str, Any] = {}
     for test, of_test in grouped(rows, "split").items():
@@ -172,11 +166,7 @@ def place_in_tables(network: str) -> int:
 def details_of_table(
     rows: Sequence[Row], models: Mapping[str, Any], manifest: Mapping[str, Row]
 ) -> dict[str, Any]:
-    """Return the content of details.json but for the alarms on wrong inputs.
-
-    As `metrics_of_table`; `models` has ``classes`` of every network but the instruments,
-    `manifest` the row of every video.
-    """
+    """Return details.json but for the alarms; `manifest` has the row of every video."""
     details: dict[str, Any] = {}
     for (test, network), part in grouped(rows, "split", "network").items():
         of_network = models[part[0]["trained_on"]].get(network, {})
@@ -237,9 +227,8 @@ def _of_classes(rows: list[Row], first: list[Row], classes: list[Row]) -> dict[s
 def breakdown(rows: Sequence[Row], manifest: Mapping[str, Row]) -> dict[str, dict[str, Row]]:
     """Return errors and coverage by fabric, coefficient, floor, texture, and pose of the camera.
 
-    Kind -> value -> ``n, simulations, mean_absolute_error, within_0_1, coverage_90``. Poses are
-    relative to the calibrated view: azimuth and elevation in degrees, rounded to fives and
-    fours, the distance beyond it in per cent, rounded to tens.
+    Poses are relative to the calibrated view: azimuth and elevation in degrees, rounded to fives
+    and fours, the distance beyond it in per cent, rounded to tens.
     """
     kinds: dict[str, Callable[[Row], Any]] = {
         "material": lambda row: row["material"],
@@ -252,27 +241,20 @@ def breakdown(rows: Sequence[Row], manifest: Mapping[str, Row]) -> dict[str, dic
             f"{10 * round(10 * math.expm1(row['pose_log_distance'])):+d}"
         ),
     }
-    result: dict[str, dict[str, Row]] = {}
+    names = {"mean_absolute_error": "mean_absolute_error", "within_0_1": "within_0.1"}
+    names["coverage_90"] = "coverage_90"
+    result: dict[str, dict[str, Row]] = {kind: {} for kind in kinds}
     for kind, value_of in kinds.items():
-        parts: dict[str, list[Row]] = {}
-        for row in rows:
-            parts.setdefault(value_of(manifest[row["video"]]), []).append(row)
-        result[kind] = {}
-        for value, part in sorted(parts.items()):
+        valued = [row | {"value": value_of(manifest[row["video"]])} for row in rows]
+        for value, part in sorted(grouped(valued, "value").items()):
             answers = answers_of(part)
-            result[kind][value] = _counts(part) | {
-                "mean_absolute_error": BY_NAME["mean_absolute_error"].compute(answers),
-                "within_0_1": BY_NAME["within_0.1"].compute(answers),
-                "coverage_90": answers.coverage[0],
-            }
+            scores = {name: BY_NAME[metric].compute(answers) for name, metric in names.items()}
+            result[kind][value] = _counts(part) | scores
     return result
 
 
 def read_table(path: str | Path) -> tuple[list[Row], dict[str, Any]]:
-    """Return the rows of predictions.parquet, and what its metadata say of models and scores.
-
-    BadInput if the file is missing, damaged, or of an earlier version, without the fabrics.
-    """
+    """Return the rows of predictions.parquet and its metadata; BadInput if it is none of today."""
     notes = read_metadata(path)
     if "models" not in notes:
         raise BadInput(f"{path}: of an earlier version of Slipstitch: evaluate again")

@@ -1,15 +1,36 @@
-"""The test sets of a dataset, and invalid videos made from valid ones to test an alarm."""
+"""The test sets of a dataset; invalid videos, to test an alarm; probes as rows of the tables.
 
-from collections.abc import Callable
+Probes ask what a single frame tells, and what must tell nothing.
+"""
+
+import os
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
+from itertools import compress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import torch
+from torch import nn
 
-from slipstitch.config.train import REFLECTIVE, SPLITS
-from slipstitch.dataset.probes import ever_cloth
-from slipstitch.dataset.videos import takes_part, test_only
+from slipstitch.config.train import REFLECTIVE, SPLITS, split_of
+from slipstitch.dataset.manifest import read_manifest
+from slipstitch.dataset.probes import (
+    PIXELS,
+    UNTOLD,
+    ever_cloth,
+    is_probed,
+    linear_answers,
+    probed_splits,
+    refuse_leak,
+    standardised,
+    untold_features,
+)
+from slipstitch.dataset.videos import Videos, read_frames, read_videos, takes_part, test_only
+from slipstitch.learning.evaluation.scores import PROBE as PREFIX
+from slipstitch.learning.prediction import classes_of, labels_of
 
 Row = dict[str, Any]
 OBJECT_SHARE = 0.45  # side of the foreign object, in shares of the image
@@ -27,12 +48,10 @@ class EvaluationSet:
 def evaluation_sets(rows: list[Row]) -> list[EvaluationSet]:
     """Return the test sets that a dataset has by its manifest, in the order of the tables.
 
-    by_video, by_simulation: the split's test videos in training textures and views. off_grid,
-    unseen_fabric: friction coefficients between those of the grid, and fabrics that no network
-    trains on, with the networks trained by simulation. unseen_texture: test-only textures in
-    training views; view_-15 ...: test-only views by their turn from the calibrated one, in
-    degrees, in training textures. Both test the networks trained by video on every simulation,
-    as the paper does: the texture or the view is new to them, the cloth's motion is not.
+    by_video, by_simulation: the split's test videos. off_grid, unseen_fabric: coefficients between
+    those of the grid, and fabrics, that no network trains on, with the networks trained by
+    simulation. unseen_texture, view_-15 ...: test-only textures, and views by their turn in
+    degrees, with the networks trained by video on every simulation, as in the paper.
     reflective_floors, by_video_reflective: by_video's test videos on the floors of the second
     training set, with the networks that have not learnt from it, and with those that have.
     """
@@ -66,19 +85,10 @@ def evaluation_sets(rows: list[Row]) -> list[EvaluationSet]:
 
 
 def wrong_inputs(videos: np.ndarray) -> dict[str, np.ndarray]:
-    """Return, by kind, invalid videos, as many as given.
+    """Return, by kind, invalid videos, as many as given: uint8 (n, frames, side, side, 3).
 
-    reversed     the frames in reverse order
-    protocol     the first half of the motion only, at half the speed
-    frozen       the first frame all along
-    shuffled     the frames in random order
-    empty        the scene without cloth
-    object       the empty scene with a rigid chequered box in place of the cloth
-    upside_down  the camera turned over
-
-    Parameters
-    ----------
-    videos : ndarray of uint8, shape (n, frames, side, side, 3)
+    ``protocol`` is the first half of the motion at half the speed, ``object`` the empty scene with
+    a rigid chequered box in place of the cloth, ``upside_down`` of a camera turned over.
     """
     random = np.random.default_rng(0)
     count = videos.shape[1]
@@ -97,8 +107,7 @@ def wrong_inputs(videos: np.ndarray) -> dict[str, np.ndarray]:
 def _empty(videos: np.ndarray, random: np.random.Generator) -> np.ndarray:
     """The scene: its pixels' medians, where no cloth ever is, drawn along the rows elsewhere.
 
-    The cloth is the coloured part, the rest of a rendering is grey. Every frame gets the camera's
-    noise of one grey level.
+    The cloth is the coloured part. Every frame gets the camera's noise of one grey level.
     """
     images = videos.reshape(-1, *videos.shape[2:])
     covered = ever_cloth(images)
@@ -120,3 +129,109 @@ def _with_box(empty: np.ndarray) -> np.ndarray:
     result = empty.copy()
     result[:, :, low:high, low:high] = np.where(squares, (200, 60, 40), (230, 220, 200))
     return result
+
+
+Row = dict[str, Any]
+#: The one probe that may tell something: of a frame in the middle of the film.
+MIDDLE_FRAME = f"{PREFIX}middle_frame"
+#: Name -> what it sees, in words.
+WHAT = {
+    MIDDLE_FRAME: "one frame from the middle",
+    **{f"{PREFIX}{name}": words for name, words in UNTOLD.items()},
+}
+NETWORK = "_network"
+_HIDDEN, _STEPS, _RATE, _DECAY = 64, 300, 3e-3, 1e-3
+
+
+def network_answers(features: np.ndarray, labels: np.ndarray, sides: np.ndarray) -> np.ndarray:
+    """Classes by a network with one hidden layer, stopped by the validation videos; seeded."""
+    torch.manual_seed(0)
+    inputs, classes = torch.from_numpy(features), torch.from_numpy(labels)
+    train, validation = (torch.from_numpy(sides == name) for name in ("train", "validation"))
+    network = nn.Sequential(
+        nn.Linear(inputs.shape[1], _HIDDEN), nn.ReLU(), nn.Linear(_HIDDEN, int(labels.max()) + 1)
+    )
+    optimizer = torch.optim.AdamW(network.parameters(), _RATE, weight_decay=_DECAY)
+    best: tuple[float, Any] = (-1.0, None)
+    for step in range(1, _STEPS + 1):
+        loss = nn.functional.cross_entropy(network(inputs[train]), classes[train])
+        optimizer.zero_grad()
+        loss.backward()
+        optimizer.step()
+        if step % 20 == 0:
+            with torch.inference_mode():
+                answers = network(inputs).argmax(1)
+            right = (answers == classes)[validation].double().mean().item()
+            if not right <= best[0]:  # the last one where nothing validates
+                best = (right, answers)
+    return best[1].numpy()
+
+
+def probe_features(
+    dataset: str | Path, videos: Videos, sides: np.ndarray
+) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Name of a probe -> what it sees of every video, and the sides by which it learns."""
+    first, middle = videos.pixels[:, 0], videos.pixels[:, 1]
+    untold = untold_features(videos.rows, first, _sizes(dataset, videos), sides)
+    seen = {f"{PREFIX}{name}": features for name, features in untold.items()}
+    return {MIDDLE_FRAME: (middle, sides)} | seen
+
+
+def _sizes(dataset: str | Path, videos: Videos) -> np.ndarray:
+    """Bytes of the first frames' files."""
+    wanted = {row["video"] for row in videos.rows}
+    size = {
+        video: len(png)
+        for file in sorted({row["file"] for row in videos.rows})
+        for video, position, png in read_frames(os.path.join(dataset, file))
+        if position == 0 and video in wanted
+    }
+    return np.array([size[row["video"]] for row in videos.rows])
+
+
+def probe_split(
+    dataset: str | Path, videos: Videos, split: str
+) -> Iterator[tuple[str, str, list[Row], list[Row]]]:
+    """Give the predictions of every probe in one split: split, network, classes, rows of the table.
+
+    `videos` have two frames. BadInput if a probe that must be at chance is not.
+    """
+    sides = np.array([row[f"split_{split_of(split)}"] for row in videos.rows])
+    classes = classes_of(videos.rows, "friction")
+    labels = labels_of(videos.rows, classes, "friction")
+    simulations = np.array([row["simulation"] for row in videos.rows])
+    for name, (seen, by) in probe_features(dataset, videos, sides).items():
+        features, test = standardised(seen, by == "train"), by == "test"
+        for learner, learn in (("", linear_answers), (NETWORK, network_answers)):
+            if not (by == "train").any() or not test.any():
+                continue
+            answers = learn(features, labels, by)
+            if name != MIDDLE_FRAME:
+                what = f"{dataset}: split {split.replace('_', ' ')}: {WHAT[name]}"
+                right = (answers == labels)[test]
+                refuse_leak(what, right, labels[test], simulations[test])
+            rows = [
+                {
+                    **{key: row[key] for key in ("video", "simulation", "texture", "viewpoint")},
+                    "true": row["friction_id"],
+                    "predicted": classes[answer]["id"],
+                    "true_value": classes[label]["value"],
+                    "predicted_value": classes[answer]["value"],
+                    "material": row["material"],
+                }
+                for row, answer, label in compress(
+                    zip(videos.rows, answers, labels, strict=True), test
+                )
+            ]
+            yield split, name + learner, classes, rows
+
+
+def probes(dataset: str | Path) -> Iterator[tuple[str, str, list[Row], list[Row]]]:
+    """Give what `probe_split` gives of the splits that must tell nothing."""
+    splits = probed_splits(read_manifest(dataset)[0])
+    videos = read_videos(
+        dataset, lambda row: any(is_probed(row, split) for split in splits), PIXELS, 2
+    )
+    for split in splits:
+        chosen = videos.chosen(np.array([is_probed(row, split) for row in videos.rows]))
+        yield from probe_split(dataset, chosen, split)

@@ -18,7 +18,7 @@ from slipstitch.learning.evaluation.scores import (
 )
 from slipstitch.learning.instrument.measuring import WEIGHTS as INSTRUMENT_WEIGHTS
 from slipstitch.learning.instrument.measuring import Instrument, load_instrument
-from slipstitch.learning.lrcn_model import ALL_VIEWS, CARD, WEIGHTS, LrcnModel, load_model
+from slipstitch.learning.lrcn import ALL_VIEWS, CARD, WEIGHTS, LrcnModel, load_model
 
 #: Kinds of models, as an update of an evaluation tells them apart.
 NETWORKS_KIND = "networks"
@@ -37,8 +37,7 @@ class Trained:
     # which splits and seeds count; others, left by an earlier configuration, do not
     train: TrainSettings | None = None
     instrument_seeds: list[int] | None = None  # which seeds of instruments count
-    # folder of the instrument that comes with Slipstitch. No simulation of the dataset trained it,
-    # so the test videos of every split are new to it.
+    # folder of the instrument that comes with Slipstitch, to which all test videos are new
     shipped: str | Path | None = None
 
     @property
@@ -84,11 +83,7 @@ class Trained:
         return found
 
     def load(self, without: frozenset[str] = frozenset()) -> dict[Key, LrcnModel | Instrument]:
-        """Return the models but those of some kinds.
-
-        BadInput if there is no network where a folder of networks is given, a model is damaged or
-        not what its place says, or is not of those beside it with which it belongs.
-        """
+        """Return the models but those of some kinds; BadInput if one is not what its place says."""
         weights = self.weights()
         models: dict[Key, LrcnModel | Instrument] = {}
         if self.networks is not None and NETWORKS_KIND not in without:
@@ -109,8 +104,7 @@ class Trained:
 def _networks(paths: list[Path]) -> dict[Key, LrcnModel]:
     """The paper's networks by split, name and seed; conditional ones with their material networks.
 
-    Where a network before fine-tuning is kept, its name is the network's, and the fine-tuned one is
-    named `CALIBRATED` and predicts in the calibrated view alone.
+    Where a network before fine-tuning is kept, the fine-tuned one is named `CALIBRATED`.
     """
     found: dict[Key, LrcnModel] = {}
     for path in paths:
@@ -139,7 +133,7 @@ def _networks(paths: list[Path]) -> dict[Key, LrcnModel]:
         if not teller:
             raise BadInput(f"{named} was trained with a different material_baseline")
         teller[0].check_is_material_network_of(split, seed, model.card["dataset_digest"])
-        found[split, network, seed] = model.listening_to(teller[0])
+        found[split, network, seed] = dataclasses.replace(model, material=teller[0])
     return found
 
 

@@ -10,7 +10,7 @@ order        logit of "frames in disorder" that the network learnt on videos rev
              stretched or shuffled
 
 Each is put on the scale of held-out training-like videos (median and spread), and the largest
-counts. Its threshold is conformal over simulations (`conformal.grouped_quantile`).
+counts. Its threshold is conformal over simulations (`distribution.grouped_quantile`).
 """
 
 import math
@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from slipstitch.learning.instrument.conformal import grouped_quantile
+from slipstitch.learning.instrument.distribution import grouped_quantile
 
 SCORES = ("appearance", "combination", "features", "order")
 REASONS = {
@@ -33,10 +33,7 @@ EXPLAINED = 0.9  # share of the variance that the principal components hold
 
 
 def thumbnails(videos: np.ndarray) -> np.ndarray:
-    """Videos (n, frames, side, side, 3) as float32 vectors (n, frames * 144).
-
-    Grey, averaged to thumbnails, mean and deviation of each video taken out.
-    """
+    """Videos as grey thumbnails of mean 0 and deviation 1, float32 (n, frames * 144)."""
     n, frames, side = videos.shape[:3]
     edges = np.arange(THUMBNAIL + 1) * side // THUMBNAIL
     grey = np.empty((n, frames, THUMBNAIL, THUMBNAIL), np.float32)
@@ -65,10 +62,9 @@ class Alarm:
     threshold: float = 0.0  # of the largest scaled score
 
     def raw(self, videos: np.ndarray, embedding: np.ndarray, order: np.ndarray) -> np.ndarray:
-        """The four scores of videos, float64 of shape (n, 4).
+        """The four scores, float64 (n, 4), of uint8 frames (n, frames, side, side, 3).
 
-        Of uint8 frames (n, frames, side, side, 3), embeddings (n, N * E) and logits (n,) of an
-        ordinary video.
+        Embeddings are (n, N * E), `order` (n,) the logits of an ordinary video.
         """
         away = thumbnails(videos) - self.mean
         inside = away @ self.components.T
@@ -101,8 +97,7 @@ class Alarm:
     def calibrated(self, raw: np.ndarray, groups: Sequence[str], false_alarms: float) -> "Alarm":
         """The alarm with the threshold that so large a share of videos like those held out exceeds.
 
-        From the scores (n, 4) of these, whose groups are their simulations. With too few groups to
-        promise the share, the threshold is their largest score.
+        From their scores (n, 4); groups are simulations. If these are too few: their largest score.
         """
         centre = np.median(raw, axis=0)
         scale = np.maximum(1.4826 * np.median(abs(raw - centre), axis=0), 1e-6)
@@ -114,10 +109,7 @@ class Alarm:
 
 
 def describe(videos: np.ndarray, embedding: np.ndarray) -> Alarm:
-    """An alarm that scores videos by those that train, and knows no threshold yet.
-
-    The covariance of the embedding is shrunk towards its diagonal by a tenth.
-    """
+    """An alarm that scores videos by those that train, and knows no threshold yet."""
     vectors = thumbnails(videos)
     mean = vectors.mean(0)
     _, sizes, axes = np.linalg.svd(vectors - mean, full_matrices=False)

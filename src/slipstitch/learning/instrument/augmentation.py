@@ -16,10 +16,7 @@ EVERY = 4  # every so many rows and columns count in a video's mean and deviatio
 
 
 def standardised(videos: np.ndarray) -> Tensor:
-    """Colours of uint8 videos (n, frames, side, side, 3) minus their mean, over their deviation.
-
-    So exposure and colour cast are gone.
-    """
+    """Colours of uint8 videos (n, frames, side, side, 3) minus their mean, over their deviation."""
     some = videos[:, :, ::EVERY, ::EVERY].astype(np.float32)
     mean = some.mean((1, 2, 3), keepdims=True)
     deviation = np.maximum(some.std((1, 2, 3), keepdims=True), 1.0)
@@ -30,9 +27,8 @@ def standardised(videos: np.ndarray) -> Tensor:
 def rectified_with_errors(frame: np.ndarray, corners_px: np.ndarray, blur_px: float) -> np.ndarray:
     """A uint8 image (side, side, 3) as a rectification gives it that puts the corners elsewhere.
 
-    `corners_px` (3, 2): how far, across and down, the upper left, upper right and lower left
-    corner move; rounded to 1/32 pixel. The border is repeated; a Gaussian of `blur_px` (0:
-    none) comes before.
+    `corners_px` (3, 2): how far, across and down, the upper left, upper right and lower left corner
+    move. The border is repeated; a Gaussian of `blur_px` (0: none) comes before.
     """
     last = frame.shape[1] - 1
     corners = np.array([[0, 0], [last, 0], [0, last]], np.float32)
@@ -47,10 +43,9 @@ def augmented(
 ) -> Tensor:
     """Standardised uint8 videos, rectified with errors, their colours in another order, and noisy.
 
-    The errors are those of a calibration, the blur that of another lens or film, the order of
-    the colours that of another lamp or dye; all frames of a video have the same. The noise is
-    one field of random numbers that moves on by a row from frame to frame, which costs a tenth
-    of drawing every pixel.
+    Errors as of a calibration, blur of another lens, colours of another lamp: the same in all
+    frames. The noise is one random field that moves on by a row a frame: a tenth of the cost of
+    every pixel.
     """
     frames, side = videos.shape[1:3]
     reach = settings.rectification_error * side
@@ -76,8 +71,7 @@ def phase_frames(
 ) -> np.ndarray:
     """Which `frames` of the `total` of each of `count` videos are seen, at regular intervals.
 
-    A generator draws each video's phase within the first interval; without, all begin with the
-    first frame.
+    A generator draws each video's phase within the first interval; by default the first frame.
     """
     spare = -(-total // frames)  # phases that differ
     starts = np.zeros(count) if generator is None else generator.integers(spare, size=count) / spare
@@ -93,8 +87,7 @@ def phased(videos: np.ndarray, frames: int, generator: np.random.Generator | Non
 def disordered(video: np.ndarray, generator: np.random.Generator) -> np.ndarray:
     """A video (frames, ...) whose frames do not follow one another as they should.
 
-    By chance: reversed; frozen at one frame; halves exchanged; shuffled; the first half at half
-    speed, as from a stage that moves slower.
+    By chance: reversed; frozen; halves exchanged; shuffled; the first half at half speed.
     """
     count = len(video)
     straight = np.arange(count)

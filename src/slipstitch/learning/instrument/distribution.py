@@ -1,10 +1,19 @@
-"""Distributions of the friction coefficient: mixtures of normals, discretised on a grid."""
+"""Distributions of the friction coefficient, discretised on a grid, and conformal intervals.
+
+Videos of one simulation (or of one material-substrate pair) are right or wrong together: they are
+not exchangeable, the groups are. Every group therefore counts once, however many videos it has
+(hierarchical conformal prediction: Lee, Barber & Willett, arXiv 2306.06342, 2023). A video of a new
+group then scores at most the quantile with probability `level` at least.
+"""
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import torch
 from torch import Tensor
+
+from slipstitch.base.errors import BadInput
 
 GRID_STEP = 0.01  # of mu
 
@@ -28,9 +37,9 @@ def mixture_cumulative(parameters: Tensor, points: Tensor) -> Tensor:
 def ranked_probability_score(cumulative: Tensor, truth: Tensor, grid: Tensor) -> Tensor:
     """Continuous ranked probability score, in units of mu, shape (n,).
 
-    Integral of (F(x) - [x >= truth])^2 over the grid by the midpoint rule (Gneiting & Raftery
-    2007, eq. 20). `cumulative` is F at the middles between neighbouring points, shape (n, G - 1).
-    A grid point counts half where the truth lies within its cell, by the share of the cell above.
+    Integral of (F(x) - [x >= truth])^2 over the grid by the midpoint rule (Gneiting & Raftery 2007,
+    eq. 20); `cumulative` is F at the middles, (n, G - 1). In the truth's cell counts the share
+    above.
     """
     step = grid[1] - grid[0]
     above = ((grid[1:][None] - truth[:, None]) / step).clamp(0.0, 1.0)
@@ -73,10 +82,7 @@ def _rising(probabilities: np.ndarray, grid: np.ndarray) -> tuple[np.ndarray, np
 
 
 def quantiles(probabilities: np.ndarray, grid: np.ndarray, levels: np.ndarray) -> np.ndarray:
-    """Quantiles (n, L) of distributions (n, G) on an even grid, linear within a point's cell.
-
-    Within the grid's ends; levels are in (0, 1).
-    """
+    """Quantiles (n, L) of distributions (n, G) on an even grid, linear within a cell."""
     edges, rising = _rising(probabilities, grid)
     rows = [np.interp(levels, row, edges) for row in rising]
     return np.clip(np.array(rows), grid[0], grid[-1])
@@ -108,3 +114,26 @@ def conformal_scales(intervals: np.ndarray, truth: np.ndarray) -> np.ndarray:
     half = np.where(truth < median, median - low, high - median)
     # A half that the grid's end cut off is never too short.
     return np.abs(truth - median) / np.maximum(half, 1e-9)
+
+
+def grouped_quantile(scores: np.ndarray, groups: Sequence[str], level: float) -> float:
+    """Smallest score with weight `level` at or below it; infinite where the groups are too few.
+
+    Each score weighs 1 / (videos of its group), and one group is added at infinity. BadInput
+    without scores, with one that is no number, or if scores and groups are not equally many.
+    """
+    scores = np.asarray(scores, np.float64)
+    if not len(scores) or len(scores) != len(groups) or np.isnan(scores).any():
+        raise BadInput(
+            f"{len(scores)} scores for {len(groups)} groups: must be one number each, no NaN"
+        )
+    _, number, count = np.unique(groups, return_inverse=True, return_counts=True)
+    weights = 1.0 / (count[number] * (len(count) + 1))
+    order = np.argsort(scores, kind="stable")
+    reached = np.cumsum(weights[order]) >= level - 1e-12
+    return float(scores[order][reached.argmax()]) if reached.any() else float("inf")
+
+
+def least_groups(level: float) -> int:
+    """Groups that a finite `grouped_quantile` needs: K with K / (K + 1) >= level."""
+    return int(np.ceil(level / (1.0 - level) - 1e-9))

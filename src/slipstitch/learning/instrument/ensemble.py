@@ -31,13 +31,21 @@ from slipstitch.learning.instrument.alarm import Alarm
 from slipstitch.learning.instrument.calibration import (
     ANSWERS,
     ANSWERS_SCHEMA,
+    READINGS,
+    READINGS_SCHEMA,
     CalibrationAnswers,
+    Readings,
     answers_on,
     from_table,
+    groups_of,
+    kept_readings,
     read_answers,
+    read_readings,
+    readings_on,
+    sources_of,
     with_error_bars,
 )
-from slipstitch.learning.instrument.conformal import grouped_quantile
+from slipstitch.learning.instrument.distribution import grouped_quantile
 from slipstitch.learning.instrument.measuring import (
     CARD,
     COVERAGE,
@@ -50,16 +58,6 @@ from slipstitch.learning.instrument.measuring import (
     save_instrument,
 )
 from slipstitch.learning.instrument.network import InstrumentNetwork
-from slipstitch.learning.instrument.readings import (
-    READINGS,
-    READINGS_SCHEMA,
-    Readings,
-    groups_of,
-    kept_readings,
-    read_readings,
-    readings_on,
-    sources_of,
-)
 from slipstitch.learning.torch_setup import set_up_torch
 
 # What is the same for all members; the rest of a card is of one training.
@@ -89,24 +87,13 @@ def combine_instruments(
     dataset, split
         On which they were trained; its validation videos calibrate.
     out_dir : path
-        Gets ``instrument.safetensors``, ``instrument.json``, ``calibration.parquet``, what the
-        average says of the videos that calibrate it, from which any other error bar can be fitted,
-        and ``readings.parquet``, what it reads of other benches.
+        Gets the instrument, `ANSWERS`, from which other error bars can be fitted, and `READINGS`.
     further : sequence of path
         Datasets of other benches, of which all videos calibrate the intervals too.
 
-    Returns
-    -------
-    dict
-        The card: as the members' cards where they agree, and ``networks``, their number, and
-        ``seeds``, ``members_sha256``, ``train_loss``, one a member; ``calibration_readings``, a
-        row for each of `further`.
-
-    Raises
-    ------
-    BadInput
-        If the members are fewer than two or do not belong together, the dataset is another one, or
-        a further one is of no use to calibrate.
+    Returns the card: as the members' where they agree, and ``networks``, their number, ``seeds``,
+    ``members_sha256``, ``train_loss``, one a member; ``calibration_readings``, a row for each of
+    `further`. BadInput if members or datasets do not belong together, or are of no use.
     """
     started = start_clock()
     set_up_torch(threads)
@@ -165,13 +152,11 @@ def recalibrate_instrument(
 ) -> dict[str, Any]:
     """Stretch the intervals of an average by what it reads of other benches too, write it.
 
-    All else stays as it is: medians, spread, fabrics and alarm. With datasets (`further`) alone
-    the intervals are those that `combine_instruments` gives with these, without members and
-    images; `files` have readings by this average (`readings.read_readings`). In the card that
-    is returned, ``recalibrated_from`` has the ``weights_sha256`` and the ``factor`` of before.
-
-    BadInput if the instrument is no average or nothing has calibrated it, a file is damaged, or
-    a source calibrates it already or is of no use to calibrate it.
+    All else stays as it is: medians, spread, fabrics and alarm. Datasets (`further`) give the
+    intervals that `combine_instruments` gives with these; `files` have readings
+    (`calibration.read_readings`). ``recalibrated_from`` in the card has ``weights_sha256`` and
+    ``factor`` of before. BadInput if the instrument is no calibrated average, a file is damaged, or
+    a source is of no use or known.
     """
     started = start_clock()
     set_up_torch(threads)
@@ -223,17 +208,14 @@ def _read_further(
     further: Sequence[str | Path],
     files: Sequence[str | Path] = (),
 ) -> Readings:
-    """The readings, and those of all videos of further datasets, and of files.
+    """The readings and those of further datasets and files; BadInput if these cannot be used."""
 
-    BadInput if these cannot calibrate, are of videos that trained, or calibrate already.
-    """
+    def in_view(row: dict[str, Any]) -> bool:
+        return row["viewpoint"] in combined.card["viewpoints"]
+
     for path, is_dataset in (*((one, True) for one in further), *((one, False) for one in files)):
         if is_dataset:
-            videos = read_videos(
-                path,
-                lambda row: row["viewpoint"] in combined.card["viewpoints"],
-                combined.settings.pixels,
-            )
+            videos = read_videos(path, in_view, combined.settings.pixels)
             _check_further(combined, videos, path)
             found = readings_on(combined, videos)
         else:
@@ -249,11 +231,7 @@ def _read_further(
 
 
 def _rescaled(combined: Instrument, held: CalibrationAnswers, readings: Readings) -> Instrument:
-    """The average whose intervals hold on other benches too, with a card that says so.
-
-    Its conformal scale is the quantile over all simulations, its own and those of the readings,
-    each counting once. All else stays as it is.
-    """
+    """The average whose conformal scale, and card, count the readings' simulations too."""
     simulations = len({*held.groups}) + len({*groups_of(readings)})
     card = combined.card | {"calibration_simulations": simulations}
     bars = combined.error_bars
@@ -322,13 +300,11 @@ def _check_alike(trained: Sequence[Instrument], members: Sequence[str | Path], s
 def _held_out(instrument: Instrument, dataset: str | Path, split: str) -> Videos:
     """The videos that calibrate; BadInput if the dataset is not the one of the training."""
     column, views = f"split_{split_of(split)}", instrument.card["viewpoints"]
-    videos = read_videos(
-        dataset,
-        lambda row: (
-            takes_part(row, split) and row[column] == "validation" and row["viewpoint"] in views
-        ),
-        instrument.settings.pixels,
-    )
+
+    def held(row: dict[str, Any]) -> bool:
+        return takes_part(row, split) and row[column] == "validation" and row["viewpoint"] in views
+
+    videos = read_videos(dataset, held, instrument.settings.pixels)
     if videos.digest != instrument.card["dataset_digest"]:
         raise BadInput(f"{dataset}: not the dataset on which the instruments were trained")
     return videos

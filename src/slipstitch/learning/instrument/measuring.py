@@ -18,11 +18,11 @@ from slipstitch.dataset.videos import Videos, resized
 from slipstitch.images.camera import POSE
 from slipstitch.learning.instrument.alarm import Alarm
 from slipstitch.learning.instrument.augmentation import augmented, phased
-from slipstitch.learning.instrument.conformal import least_groups
 from slipstitch.learning.instrument.distribution import (
     conformal_intervals,
     conformal_scales,
     friction_grid,
+    least_groups,
     mixture_cumulative,
     probabilities_on_grid,
     spread,
@@ -46,8 +46,7 @@ NOT_CALIBRATED = "the instrument is not calibrated: its errors are unknown"
 class Answers:
     """Uncalibrated answers for n videos, averaged over augmented views and over the networks.
 
-    Distributions are averaged point by point, as a mixture of the networks' own (a linear pool).
-    The embedding is not averaged: it has those of all networks, one after another.
+    Distributions are averaged point by point (a linear pool); embeddings stand one after another.
     """
 
     probabilities: np.ndarray
@@ -64,8 +63,7 @@ class ErrorBars:
 
     spread: float  # by which the distributions are spread about their medians
     material_temperature: float  # by which the fabrics' logits are divided
-    # by which the distribution's own half-intervals are multiplied; infinite: not enough
-    # simulations to promise anything
+    # by which half-intervals are multiplied; infinite: too few simulations to promise anything
     conformal_scale: float
     alarm: Alarm
 
@@ -97,11 +95,7 @@ class Instrument:
     def answers(
         self, videos: np.ndarray, generator: np.random.Generator, poses: np.ndarray | None = None
     ) -> Answers:
-        """Uncalibrated answers for uint8 videos (n, frames, pixels, pixels, 3).
-
-        The generator is that of the augmentations; poses (n, 4) say how the cameras stand
-        (`slipstitch.images.camera.POSE`), as calibrated by default.
-        """
+        """Uncalibrated answers for uint8 videos (n, frames, pixels, pixels, 3) and poses (n, 4)."""
         for network in self.networks:
             network.eval()
         told = scaled(np.zeros((len(videos), len(POSE))) if poses is None else poses)
@@ -115,16 +109,10 @@ class Instrument:
                     _answer(network, network(views, self.card["bfloat16"], poses_told))
                     for network in self.networks
                 ]
-                parts.append(
-                    {
-                        name: np.concatenate(answers)
-                        if name == "embedding"
-                        else np.mean(answers, axis=0)
-                        for name, answers in (
-                            (name, [answer[name] for answer in of_each]) for name in of_each[0]
-                        )
-                    }
-                )
+                told_of = {name: [answer[name] for answer in of_each] for name in of_each[0]}
+                embedding = np.concatenate(told_of.pop("embedding"))
+                means = {name: np.mean(answers, axis=0) for name, answers in told_of.items()}
+                parts.append(means | {"embedding": embedding})
         return Answers(**{name: np.stack([part[name] for part in parts]) for name in parts[0]})
 
     def distributions(self, probabilities: np.ndarray) -> np.ndarray:
@@ -151,10 +139,9 @@ class Instrument:
         """Why intervals are the whole grid, as they are then; empty where they are not."""
         if self.error_bars and math.isfinite(self.error_bars.conformal_scale):
             return ""
-        needed = least_groups(COVERAGE)
         groups = self.card.get("calibration_simulations", 0)
         of_them = f"{groups} simulation{'' if groups == 1 else 's'}"
-        return f"no error bar: calibrated on {of_them}; {needed} are needed"
+        return f"no error bar: calibrated on {of_them}; {least_groups(COVERAGE)} are needed"
 
     @property
     def caveats(self) -> list[str]:
@@ -172,19 +159,17 @@ class Instrument:
         generator: np.random.Generator | None = None,
         pose: np.ndarray | None = None,
     ) -> Prediction:
-        """Measure one video.
+        """Measure one video; BadInput if the array is of another shape or type.
 
         Parameters
         ----------
         frames : ndarray of uint8, shape (frames, height, width, 3)
-            RGB, at regular intervals from the start of the stage's motion, cropped as the
-            training images are: square. Resized to the network's side where they differ.
+            RGB, at regular intervals from the start of the stage's motion, square, cropped as the
+            training images are. Resized to the network's side where they differ.
         generator : numpy Generator, optional
             Draws the augmented views that are averaged; by default always the same.
         pose : ndarray, shape (4,), optional
             How the camera stands (`slipstitch.images.camera.POSE`); as calibrated by default.
-
-        BadInput if the array is of another shape or type.
         """
         video = self._fitted(frames)[None]
         poses = None if pose is None else np.asarray(pose)[None]
@@ -213,9 +198,8 @@ class Instrument:
     def sees(self, row: Mapping[str, Any]) -> bool:
         """Return whether the model predicts for the video of a manifest row.
 
-        For those from the viewpoints that it learnt, and from turned ones that test alone. Whoever
-        knows the camera's pose learnt from images that are rectified to the calibrated viewpoint:
-        it predicts for this one too, for turned ones only where they are rectified.
+        Whoever knows the camera's pose learnt from rectified images: of the calibrated viewpoint
+        too, but of turned ones, which test, only where they are rectified.
         """
         if self.settings.knows_pose:
             return row["viewpoint"] in (*self.card["viewpoints"], "calibrated")
@@ -235,14 +219,13 @@ class Instrument:
 
     def _fitted(self, frames: np.ndarray) -> np.ndarray:
         """The frames at the network's size; BadInput if they are no such frames."""
-        wanted = f"uint8 of shape ({self.card['frames']}, side, side, 3) is required"
-        if not isinstance(frames, np.ndarray) or frames.dtype != np.uint8 or frames.ndim != 4:
-            raise BadInput(f"the frames are not images: {wanted}")
-        count, height, width, colours = frames.shape
-        if count != self.card["frames"] or height != width or colours != 3 or height < 8:
-            raise BadInput(f"the frames have shape {frames.shape}: {wanted}")
+        shape, kind = np.shape(frames), getattr(frames, "dtype", type(frames))
+        wanted = (self.card["frames"], *2 * shape[1:2], 3)
+        if kind != np.uint8 or shape != wanted or shape[1] < 8:
+            need = f"uint8 of shape ({self.card['frames']}, side, side, 3) is required"
+            raise BadInput(f"the frames are {kind} of shape {shape}: {need}")
         side = self.networks[0].pixels
-        return frames if height == side else resized(frames, side)
+        return frames if shape[1] == side else resized(frames, side)
 
 
 def _answer(network: InstrumentNetwork, outputs: dict[str, torch.Tensor]) -> dict[str, np.ndarray]:
@@ -261,10 +244,7 @@ def _answer(network: InstrumentNetwork, outputs: dict[str, torch.Tensor]) -> dic
 
 
 def save_instrument(instrument: Instrument, folder: str | Path) -> dict[str, Any]:
-    """Write ``instrument.safetensors`` and ``instrument.json``; the card as written.
-
-    Several networks are stored as `halved`, which must be done before they are calibrated.
-    """
+    """Write ``instrument.safetensors`` and ``instrument.json``; the card as written."""
     networks = instrument.networks
     tensors = {
         prefix + name: value
@@ -317,10 +297,7 @@ class _Card(BaseModel):
 
 
 def load_instrument(path: str | Path) -> Instrument:
-    """Read an instrument that `save_instrument` wrote: its folder, or one of the two files in it.
-
-    BadInput if a file is missing, is of another kind, or is not as it was written.
-    """
+    """Read what `save_instrument` wrote, from its folder or one of its files; else BadInput."""
     given = Path(path)
     folder = given.parent if given.name in (WEIGHTS, CARD) else given
     weights = folder / WEIGHTS

@@ -2,20 +2,25 @@
 
     frame --> convolutions of stride 2, features shifted in time between them
           --> a few channels of the last map with their position --> features
-    features --> places of nine points of the cloth --> features (if it goes through points)
+    features --> keypoints: places of nine points of the cloth --> features (if it goes through
+          them)
     features of all frames --> bidirectional GRU --> attention over frames --> heads
 
 The shift in time is that of Lin, Gan & Han (TSM, 2019): an eighth of the channels comes from the
 frame before, an eighth from the frame after. It costs nothing and lets convolutions see motion.
 """
 
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from slipstitch.base.errors import BadInput
 from slipstitch.config.instrument import InstrumentSettings
-from slipstitch.images.camera import POSE
-from slipstitch.images.keypoints import KEYPOINTS_UV
+from slipstitch.dataset.videos import Videos
+from slipstitch.images.camera import KEYPOINTS_UV, POSE
 from slipstitch.learning.instrument.distribution import friction_grid
 
 POSITION_CHANNELS = 16  # of the last feature map, flattened with their positions
@@ -65,8 +70,7 @@ def shifted_in_time(maps: Tensor, frames: int) -> Tensor:
 class InstrumentNetwork(nn.Module):
     """Mixture of mu, material logits, order logit, attention weights of the frames.
 
-    Tells so many materials apart, from frames of so many pixels a side; BadInput if these are
-    too few for the convolutions.
+    BadInput if there are too few pixels a side for the convolutions.
     """
 
     grid: Tensor
@@ -148,15 +152,11 @@ class InstrumentNetwork(nn.Module):
         """Answers for a batch of standardised frames (videos, frames, pixels, pixels, 3).
 
         With `bfloat16` the convolutions compute in bfloat16. Poses (videos, 4) as `poses.scaled`
-        gives them are used if the network knows poses; 0, the calibrated one, by default.
-
-        Returns
-        -------
-        dict
-            ``friction`` (n, 3, components), see `mixture_cumulative`; ``material`` (n, materials)
-            logits; ``order`` (n,) logit of an ordinary video; ``attention_weights`` (n, frames),
-            sum 1; ``embedding`` (n, 2 * `RECURRENT_UNITS`); ``points`` (n, frames, points,
-            3), if the network learns them: places minus ``points_mean_m`` over ``points_spread_m``.
+        gives them are used if the network knows poses; by default the calibrated one. Returns
+        ``friction`` (n, 3, components), see `mixture_cumulative`; logits ``material`` (n,
+        materials) and ``order`` (n,); ``attention_weights`` (n, frames), sum 1; ``embedding`` (n, 2
+        * `RECURRENT_UNITS`); ``points`` (n, frames, points, 3) in the network's unit, if the
+        network learns them.
         """
         videos, count = frames.shape[:2]
         maps = frames.flatten(0, 1).permute(0, 3, 1, 2)  # NHWC in memory: channels last
@@ -174,8 +174,7 @@ class InstrumentNetwork(nn.Module):
         points = self.points(features).unflatten(-1, (-1, 3))
         if self.of_points is None:
             return {**self._answers(features), "points": points}
-        # Friction does not teach where the points are: it would be told by heart through places
-        # that are a little wrong.
+        # Friction does not teach where the points are: it would be told by heart through them.
         return {**self.of_keypoints(points.detach()), "points": points}
 
     def keypoints_m(self, points: Tensor) -> Tensor:
@@ -183,12 +182,7 @@ class InstrumentNetwork(nn.Module):
         return self.points_mean_m + self.points_spread_m * points
 
     def of_keypoints(self, points: Tensor) -> dict[str, Tensor]:
-        """Answers from places of points (videos, frames, points, 3) in the network's unit.
-
-        Of a network that goes through points; ValueError of another.
-        """
-        if self.of_points is None:
-            raise ValueError("the network does not go through points")
+        """Answers from places (videos, frames, points, 3), of a network that goes through them."""
         return self._answers(self.of_points(points.flatten(2)))
 
     def _answers(self, features: Tensor) -> dict[str, Tensor]:
@@ -207,3 +201,62 @@ class InstrumentNetwork(nn.Module):
             "attention_weights": attention_weights,
             "embedding": embedding,
         }
+
+
+KEYPOINT_SPREAD_MIN_M = 1e-3
+# The unit of the loss of places: in that of their spread, tails count little.
+KEYPOINT_ERROR_M = 0.005
+
+
+def keypoints_in_unit(network: InstrumentNetwork, videos: Videos, training: np.ndarray) -> Tensor:
+    """Places of the points in the network's unit, from videos that train, which it is given."""
+    points_m = torch.from_numpy(videos.points_m)
+    known_m = points_m[training].double()
+    mean_m = known_m.mean((0, 1))
+    spread_m = (known_m - mean_m).abs().mean((0, 1)).clamp(min=KEYPOINT_SPREAD_MIN_M)
+    network.points_mean_m.copy_(mean_m)
+    network.points_spread_m.copy_(spread_m)
+    return (points_m - network.points_mean_m) / network.points_spread_m
+
+
+def keypoint_errors(network: InstrumentNetwork, differences: Tensor) -> Tensor:
+    """Distances along the axes of places (..., points, 3), in units of `KEYPOINT_ERROR_M`.
+
+    In metres: the tail, which moves most and tells friction, weighs as a point that hardly moves.
+    """
+    return differences.abs() * (network.points_spread_m / KEYPOINT_ERROR_M)
+
+
+def next_frictions(rows: Sequence[dict[str, Any]], training: np.ndarray) -> np.ndarray:
+    """For every video, one of the same cloth at the next larger coefficient, or itself.
+
+    Of videos that train, and only where one of the two lies between simulations: there a cloth
+    changes smoothly with the coefficient, so that places between theirs are a cloth's too.
+    """
+    result = np.arange(len(rows))
+    of_cloth: dict[tuple[str, str], list[int]] = {}
+    for number in np.flatnonzero(training):
+        cloth = rows[number]["material_id"], rows[number]["replicate_id"]
+        of_cloth.setdefault(cloth, []).append(int(number))
+    for numbers in of_cloth.values():
+        numbers.sort(key=lambda number: rows[number]["friction"])
+        for place, number in enumerate(numbers):
+            larger = numbers[place + 1 :]
+            friction = rows[number]["friction"]
+            other = next((one for one in larger if rows[one]["friction"] > friction), number)
+            if rows[number].get("interpolated") or rows[other].get("interpolated"):
+                result[number] = other
+    return result
+
+
+def noisy_keypoints(
+    points: Tensor, spread_m: Tensor, noise_m: float, generator: np.random.Generator
+) -> Tensor:
+    """Places (n, frames, points, 3) in the network's unit as they might be found in images.
+
+    Shifted as a whole, as by a calibration's error; each point; each point in every frame.
+    """
+    videos, _, count, axes = points.shape
+    shapes = (videos, 1, 1, axes), (videos, 1, count, axes), points.shape
+    noise = sum(generator.standard_normal(shape, np.float32) for shape in shapes)
+    return points + noise_m * torch.from_numpy(noise) / spread_m

@@ -15,7 +15,6 @@ from slipstitch.base.provenance import start_clock
 from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.config.train import REFLECTIVE
 from slipstitch.dataset.videos import Videos
-from slipstitch.learning.classes import classes_of
 from slipstitch.learning.instrument.augmentation import (
     augmented,
     disordered,
@@ -29,15 +28,16 @@ from slipstitch.learning.instrument.distribution import (
     mixture_cumulative,
     ranked_probability_score,
 )
-from slipstitch.learning.instrument.keypoints import (
+from slipstitch.learning.instrument.measuring import CARD, WEIGHTS, Instrument, save_instrument
+from slipstitch.learning.instrument.network import (
+    InstrumentNetwork,
     keypoint_errors,
     keypoints_in_unit,
     next_frictions,
     noisy_keypoints,
 )
-from slipstitch.learning.instrument.measuring import CARD, WEIGHTS, Instrument, save_instrument
-from slipstitch.learning.instrument.network import InstrumentNetwork
 from slipstitch.learning.instrument.poses import pose_range, poses_of, scaled
+from slipstitch.learning.prediction import classes_of
 from slipstitch.learning.schedule import Phase
 from slipstitch.learning.torch_setup import computes_bfloat16, set_up_torch
 from slipstitch.learning.trainer import Learner, Run, Trainer, simulations
@@ -57,13 +57,7 @@ UNKNOWN = -1  # number of a fabric that does not train
 def _training_videos(
     settings: InstrumentSettings, run: Run, viewpoints: Sequence[str]
 ) -> tuple[Videos, np.ndarray]:
-    """Return the videos of some viewpoints that train or calibrate, and which of them train.
-
-    Raises
-    ------
-    BadInput
-        If the dataset is damaged, leaks, or has too few frames, fabrics or coefficients.
-    """
+    """Return the videos, and which of them train; BadInput if they cannot train or calibrate."""
     videos, training = run.videos(settings.pixels, None, viewpoints)
     dataset, stored = run.dataset, videos.pixels.shape[1]
     if run.frames is not None and stored < run.frames:
@@ -111,17 +105,12 @@ def losses(
     poses: Tensor | None = None,
     points: Tensor | None = None,
 ) -> dict[str, Tensor]:
-    """Mean losses of a batch whose last videos are in disorder.
+    """Mean losses of a batch of views (n, frames, side, side, 3) whose last are in disorder.
 
-    Of views (n, frames, side, side, 3), the first m have friction and material (m,), and places
-    of points (m, frames, points, 3) in the network's unit where it learns them; `ordered` (n,)
-    is 1 for these, else 0. Both kinds weigh the same.
-
-    Returns
-    -------
-    dict
-        ``friction`` (in mu), ``material``, ``order``, ``points`` (mean distance along an axis, in
-        units of `KEYPOINT_ERROR_M`); and ``median_error``, without gradient.
+    The first m have friction and material (m,), and places of points (m, frames, points, 3) where
+    the network learns them; `ordered` (n,) is 1 for these, else 0; both kinds weigh the same.
+    Returns ``friction`` (in mu), ``material``, ``order``, ``points`` (see `keypoint_errors`); and
+    ``median_error``, without gradient.
     """
     outputs = network(views, bfloat16, poses)
     count, spoilt = len(friction), len(ordered) - len(friction)
@@ -281,12 +270,9 @@ class InstrumentLearner(Learner):
 def train_instrument(
     settings: InstrumentSettings, run: Run, viewpoints: Sequence[str]
 ) -> dict[str, Any]:
-    """Train, calibrate and write an instrument; return its card.
+    """Train, calibrate by the validation videos, and write an instrument; return its card.
 
-    The validation videos calibrate the error bars and the alarm. Where the dataset has more
-    than `run.frames` frames, they are seen at a random phase in training. All viewpoints are
-    seen in the calibrated view. BadInput if dataset or arguments do not fit; else as
-    `Trainer.train`.
+    BadInput if dataset or arguments do not fit; else as `Trainer.train`.
     """
     started = start_clock()
     set_up_torch(run.threads)
