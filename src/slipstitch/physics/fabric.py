@@ -5,8 +5,6 @@ and ARGUS sample it: stretching on a regular grid of Green strain, bending on fo
 curvature.
 """
 
-from __future__ import annotations
-
 import hashlib
 import json
 from dataclasses import dataclass, replace
@@ -38,7 +36,7 @@ class Fabric:
     # 5, 10, 15, 20 1/m.
     bending_N_m: np.ndarray
 
-    def scaled(self, density: float, stretching: float, bending: float) -> Fabric:
+    def scaled(self, density: float, stretching: float, bending: float) -> "Fabric":
         """Return the fabric with its three groups of parameters multiplied by factors."""
         return replace(
             self,
@@ -49,11 +47,7 @@ class Fabric:
 
 
 def read_fabric_file(path: str | Path) -> dict[str, Fabric]:
-    """Read a file of fabrics, in the layout of the project's own ``fabrics.json``.
-
-    BadInput if a key is missing, a table has the wrong shape or a value that is not finite, or a
-    value that must be positive (areal density, bending, stretching c11 and c22 at rest) is not.
-    """
+    """Read a file of fabrics, in the layout of ``fabrics.json``; BadInput says what is wrong."""
     path = Path(path)
     try:
         entries = json.loads(path.read_text(encoding="utf-8-sig"))["fabrics"]
@@ -120,7 +114,7 @@ class ElasticTables:
     rest_curvature_per_m: float = 0.0  # about the u axis; positive curls to the face's normal
 
     @classmethod
-    def of_fabric(cls, fabric: Fabric) -> ElasticTables:
+    def of_fabric(cls, fabric: Fabric) -> "ElasticTables":
         """Sample the law of a fabric."""
         return cls(
             fabric.areal_density_kg_m2,
@@ -163,8 +157,7 @@ def isotropic_tables(
 ) -> ElasticTables:
     """Return tables of an isotropic, linear sheet, for comparison with theory.
 
-    The membrane stiffness is Young's modulus times thickness; the plate rigidity is a quarter of
-    the hinges' stiffness ke where the sheet is held cylindrical.
+    The plate rigidity is a quarter of the hinges' stiffness where it is held cylindrical.
     """
     plane = membrane_stiffness_N_m / (1 - poisson_ratio**2)
     k = np.array([plane, poisson_ratio * plane, plane, (1 - poisson_ratio) * plane])

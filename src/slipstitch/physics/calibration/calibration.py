@@ -7,18 +7,19 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from slipstitch.base.errors import BadInput, Damaged, SlipstitchError
+from slipstitch.base.errors import BadInput, SlipstitchError
 from slipstitch.base.progress import note, progress
-from slipstitch.base.provenance import provenance_record, read_json, start_clock, write_json
+from slipstitch.base.provenance import (
+    provenance_record,
+    read_json,
+    reading,
+    start_clock,
+    write_json,
+)
 from slipstitch.config.simulation import BASE, KEYS, SimulationSettings
 from slipstitch.physics.calibration.checks import describe_check, experiments
 from slipstitch.physics.calibration.sweep import RunProtocol, sweep, sweep_inputs, verified_settings
-from slipstitch.physics.simulation.convergence import (
-    CONVERGED,
-    read_study,
-    studied_settings_that_differ,
-    study_digest,
-)
+from slipstitch.physics.simulation import convergence
 
 # Largest errors of the strain at slip, and of the friction coefficient inferred from that strain.
 STRIP_SLIP_STRAIN = 6e-3
@@ -49,12 +50,11 @@ class DemandNotMet(SlipstitchError):  # noqa: N818 - says what happened, as the 
 
 
 def judge(trial: Mapping[str, Any]) -> Trial:
-    """Sum up the runs with one choice of settings, see `sweep.sweep`.
+    """Add to a trial of `sweep.sweep` what its runs are worth.
 
-    Adds ``strain_error`` and ``friction_error`` (the largest of the runs that slip; None if none
-    could be compared), ``wrong_regimes`` (count; a run that was not solved is wrong), ``meets``,
-    ``distance`` (largest error over its limit, infinite with a wrong regime), ``newton_iterations``
-    x vertices as ``work``, and ``cpu_s``.
+    That is ``strain_error`` and ``friction_error`` (the largest of the runs that slip, or None),
+    ``wrong_regimes`` (with runs that were not solved), ``meets``, ``distance`` (largest error over
+    its limit, infinite with a wrong regime), ``work`` (iterations x vertices), and ``cpu_s``.
     """
     runs = trial["runs"]
     right = [run for run in runs if run["regime"] == run["theory_regime"]]
@@ -80,10 +80,8 @@ def judge(trial: Mapping[str, Any]) -> Trial:
 def choose(trials: Sequence[Trial]) -> Trial:
     """Return the configured settings if they meet the requirements, else the cheapest that do.
 
-    What may be chosen instead of the configured settings is tighter, so that the grid costs more
-    with it, whatever a single push costs: it is taken only where the configured settings fail.
-    Cost is counted in Newton iterations times vertices, which is the same on every machine.
-    `DemandNotMet` names the closest if no eligible settings meet the requirements.
+    What may be chosen instead is tighter: the grid costs more with it, whatever a single push
+    costs. `DemandNotMet` names the closest if no eligible settings meet the requirements.
     """
     base = next(trial for trial in trials if trial["key"] == BASE)
     if base["meets"]:
@@ -133,14 +131,8 @@ def calibrate(simulation: SimulationSettings, run_protocol: RunProtocol) -> dict
         )
         wall_s = round(time.perf_counter() - began, 3)
         checks += judged
-        runs.append(
-            {
-                "protocol": experiment.protocol,
-                "options": experiment.options,
-                "result": result,
-                "wall_s": wall_s,
-            }
-        )
+        run = {"protocol": experiment.protocol, "options": experiment.options}
+        runs.append(run | {"result": result, "wall_s": wall_s})
         failed = [check for check in judged if not check["met"]]
         verdict = "NOT MET" if failed else "agrees with theory"
         note(f"{experiment.describe()}: {verdict}, {wall_s:.1f} s")
@@ -154,11 +146,7 @@ def calibrate(simulation: SimulationSettings, run_protocol: RunProtocol) -> dict
 
 
 def write_calibration(calibration: Mapping[str, Any], path: str | os.PathLike, record) -> None:
-    """Write a calibration that met its requirements, with its provenance record.
-
-    If a requirement is not met, `DemandNotMet` names the check; nothing is written, and the whole
-    report goes to stderr.
-    """
+    """Write a calibration; `DemandNotMet` if it is none, and the whole report on stderr."""
     failed = [check for check in calibration["checks"] if not check["met"]]
     if failed:
         note(json.dumps(calibration, indent=1, default=str))
@@ -170,8 +158,7 @@ def write_calibration(calibration: Mapping[str, Any], path: str | os.PathLike, r
 def strip_calibration(trials: list[dict[str, Any]]) -> dict[str, Any]:
     """Choose settings by the pushed strip, from what `sweep.sweep` returned of all keys.
 
-    Returns ``demand``, ``trials`` (judged), ``chosen`` (one of them, with the strips' shapes) and
-    ``not_told`` (what the strip does not tell).
+    Return ``demand``, ``trials`` (judged), ``chosen`` (with the strips' shapes), ``not_told``.
     """
     judged = [judge(trial) for trial in trials]
     base = next(trial for trial in judged if trial["key"] == BASE)
@@ -200,14 +187,9 @@ def calibrate_to_file(
 ) -> dict:
     """Calibrate with a whole configuration and write the JSON file, or raise `DemandNotMet`.
 
-    Parameters
-    ----------
-    sweeps : list of path, optional
-        What `sweep.sweep_to_file` wrote, of all keys; made now if not given.
-    draw : callable, optional
-        Told what there is to draw, its record, and whether a requirement is not met; see
-        `pictures.draw_pictures`. Handed over, so that plots are no part of the calibration: else
-        another line width would simulate everything again.
+    Without `sweeps`, files of `sweep.sweep_to_file`, they are made now. `draw` is told what there
+    is to draw, its record, and whether a requirement is not met: handed over, so that plots are no
+    part of the calibration, as another line width would simulate everything again.
     """
     from slipstitch.physics.experiments.registry import run_protocol
 
@@ -242,18 +224,15 @@ def calibrate_to_file(
 
 
 def _known_convergence(simulation: SimulationSettings) -> dict[str, Any]:
-    """What the convergence study says of each fabric and coefficient at the chosen settings.
+    """What the convergence study says at the chosen settings, and the digest of its table.
 
-    And the digest of its table, which may be another when simulations are made.
-
-    Not converged, or not known, is said aloud but is no error: the mesh is not chosen here, and no
-    known answer tells how short a step a fabric needs.
+    Not converged is no error: no known answer tells how short a step a fabric needs.
     """
-    study = read_study()
+    study = convergence.read_study()
     if study is None:
         note("convergence: no study came with the package")
         return {"convergence": None}
-    differ = studied_settings_that_differ(study["studied"], simulation)
+    differ = convergence.studied_settings_that_differ(study["studied"], simulation)
     found = [
         {key: case[key] for key in ("material", "friction")}
         | {"verdict": None if differ else case["verdict"]}
@@ -265,43 +244,33 @@ def _known_convergence(simulation: SimulationSettings) -> dict[str, Any]:
         words = "; ".join(
             f"{one['material']} at {one['friction']:g} {one['verdict'] or 'not known'}"
             for one in found
-            if one["verdict"] != CONVERGED
+            if one["verdict"] != convergence.CONVERGED
         )
-    note(f"convergence: {words or CONVERGED}")
-    return {"convergence": found, "convergence_table_sha256": study_digest()}
+    note(f"convergence: {words or convergence.CONVERGED}")
+    return {"convergence": found, "convergence_table_sha256": convergence.study_digest()}
 
 
 def read_sweeps(paths: list[str | os.PathLike], config) -> list[dict[str, Any]]:
     """Read sweeps of all keys; BadInput if they were not made with this configuration."""
-    trials = []
-    for path in paths:
-        sweep = read_json(path)
-        if not isinstance(sweep, list) or not all(
-            isinstance(trial, dict)
-            and trial.get("key") in (BASE, *KEYS)
-            and "settings" in trial
-            and isinstance(trial.get("inputs", {}), dict)
-            for trial in sweep
-        ):
-            raise Damaged(path, "not a sweep of the calibration")
-        trials += sweep
     expected = {
         key: json.loads(json.dumps(sweep_inputs(key, config.calibrate, config.simulation)))
         for key in (BASE, *KEYS)
     }
-    count = sum(len(inputs["tried"]) for inputs in expected.values())
     again = "regenerate them with: snakemake --cores 2 calibrate"
+    trials: list[dict[str, Any]] = []
+    for path in paths:
+        with reading(path, "sweep of the calibration"):
+            for trial in read_json(path):
+                inputs, made_with = expected[trial["key"]], trial.pop("inputs", {})
+                other = sorted(name for name in inputs if made_with.get(name) != inputs[name])
+                if other:
+                    raise BadInput(
+                        f"{path}: {trial['key']}: pushed with other {', '.join(other)} than the "
+                        f"configuration's; {again}"
+                    )
+                trials.append(trial)
+    count = sum(len(inputs["tried"]) for inputs in expected.values())
     if len(trials) != count:
-        raise BadInput(
-            f"{paths[0]} and others: {len(trials)} settings tried, but the configuration has "
-            f"{count}; {again}"
-        )
-    for trial in trials:
-        inputs, made_with = expected[trial["key"]], trial.pop("inputs", {})
-        other = sorted(key for key in inputs if made_with.get(key) != inputs[key])
-        if other:
-            raise BadInput(
-                f"{paths[0]} and others: {trial['key']}: pushed with other {', '.join(other)} than "
-                f"the configuration's; {again}"
-            )
+        said = f"{len(trials)} settings tried, but the configuration has {count}; {again}"
+        raise BadInput(f"{paths[0]} and others: {said}")
     return trials

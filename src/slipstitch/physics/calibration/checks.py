@@ -40,10 +40,7 @@ class Experiment:
     def run(self, runner: Runner) -> tuple[list[dict[str, Any]], dict[str, Any]]:
         """Run the experiment by a function of protocol and options; name it in an error.
 
-        Returns a check for each demand, and the protocol's result. A check has ``name``,
-        ``protocol``, ``options``, ``measured`` and ``theory`` (None where there is no number),
-        ``error`` (relative to theory or in ``unit``), ``demand`` (the largest allowed),
-        ``relative``, ``unit``, ``met``.
+        Return a check for each demand (`_check`), and the protocol's result.
         """
         try:
             result = dict(runner(self.protocol, self.options))

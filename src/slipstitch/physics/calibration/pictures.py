@@ -16,8 +16,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from slipstitch.base.page.figures import a_few, new_figure, save_figure, styled
+from slipstitch.base.page.figures import new_figure, save_figure, styled
 from slipstitch.base.page.palette import BLUE, FAINT, MEASURED, THEORY
+from slipstitch.base.page.wording import evenly
 from slipstitch.base.provenance import provenance_record, read_json, recorded_path, start_clock
 from slipstitch.config.load import calibrated_settings
 from slipstitch.config.simulation import BASE, KEYS
@@ -53,9 +54,8 @@ def draw_pictures(
 ) -> None:
     """Draw what a calibration holds; of one that chose no settings, those that were tried.
 
-    The pictures are PNG or SVG files by name: ``checks``, ``strip``, ``settings``. The calibration
-    is what `calibration.calibrate_to_file` returns, or its ``strip`` alone. Where a requirement is
-    not met, ``failed``, the word stands before the suffix.
+    The pictures are files by name: ``checks``, ``strip``, ``settings``. Where a requirement is not
+    met, ``failed`` stands before the suffix.
     """
     figures = {"settings": settings_figure}
     if "chosen" in calibration["strip"]:
@@ -212,7 +212,7 @@ def strip_figure(calibration: Mapping[str, Any]) -> Figure:
     )
     left.legend(handles=handles, frameon=False, fontsize=8, loc="lower right")
     left.set(title="Strip pushed on the floor", ylabel="vertical strain ε at slip")
-    for place, friction in enumerate(a_few(sorted({run["friction"] for run in runs}))):
+    for place, friction in enumerate(evenly(sorted({run["friction"] for run in runs}))):
         of_friction = [run for run in runs if run["friction"] == friction]
         of_friction.sort(key=lambda run: run["young_modulus_Pa"])
         _shapes(right, 0.62 * place, of_friction)
@@ -277,7 +277,7 @@ def _slip_strains(axes: Axes, key: str, tried, base) -> None:
     _draw_slip_curve(axes)
     shades = colormaps["plasma"](np.linspace(0.1, 0.85, len(tried)))
     name, unit = NAMES[key]
-    named = a_few(range(len(tried)), 5)
+    named = evenly(range(len(tried)), 5)
     for index, (shade, trial) in enumerate(zip(shades, tried, strict=True)):
         if trial is base or index in named:
             note = " (configured)" if trial is base else ""

@@ -44,10 +44,7 @@ def verified_settings(simulation: SimulationSettings) -> dict[str, Any]:
 def variations(
     key: str, settings: CalibrateSettings, simulation: SimulationSettings
 ) -> list[dict[str, Any]]:
-    """All settings to be tried, values of `KEYS`: others than one key as configured.
-
-    The key ``base`` stands for the configured settings themselves.
-    """
+    """All settings to be tried, values of `KEYS`: but for one key as configured, or all."""
     base = {one: getattr(simulation, one, settings.strip_vertices) for one in KEYS}
     if key == BASE:
         return [base]
@@ -93,10 +90,9 @@ def _run(modulus, friction, vertices, simulation, run_protocol) -> dict[str, Any
 def sweep(
     key: str, settings: CalibrateSettings, simulation: SimulationSettings, run_protocol: RunProtocol
 ) -> list[dict[str, Any]]:
-    """Push the strip with all settings of one key (see `variations`); one line each on stderr.
+    """Push the strip with all settings of one key; one line each on stderr.
 
-    Each result has ``key``, ``settings`` and ``runs``: per fabric and friction coefficient what
-    came out, what theory says, the Newton iterations and CPU seconds it took.
+    A result has ``key``, ``settings`` and ``runs``, by fabric and friction coefficient.
     """
     results = []
     for tried in progress(variations(key, settings, simulation), unit="setting"):

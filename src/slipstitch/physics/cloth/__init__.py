@@ -3,7 +3,7 @@
 Knows nothing of files, Snakemake or Blender.
 """
 
-from slipstitch.base.warp_start import start_warp
+from slipstitch.base.start import start_warp
 
 start_warp()
 

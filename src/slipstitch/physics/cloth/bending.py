@@ -6,8 +6,6 @@ in the cloth and on the curvature parameter |theta| l / (2 (a0 + a1)), and is fr
 force (Wang, O'Brien and Ramamoorthi 2011; Bridson, Marino and Fedkiw 2003; ARCSim).
 """
 
-from __future__ import annotations
-
 import numpy as np
 import warp as wp
 
@@ -44,11 +42,7 @@ def hinge_geometry(mesh: ClothMesh) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 
 
 def rest_angles(mesh: ClothMesh, curvature_per_m: float) -> np.ndarray:
-    """Dihedral angles at rest of a sheet that is a cylinder about u, shape (H,).
-
-    Positive curvature curls towards the face's normal. The sheet turns by curvature times the
-    distance between the faces' centres, along v.
-    """
+    """Dihedral angles at rest (H,) of a sheet that is a cylinder about u, curled to the normal."""
     length, area, _ = hinge_geometry(mesh)
     edge = np.diff(mesh.rest_uv_m[mesh.hinges[:, :2]], axis=1)[:, 0]
     across = np.abs(edge[:, 0]) / length
@@ -57,10 +51,7 @@ def rest_angles(mesh: ClothMesh, curvature_per_m: float) -> np.ndarray:
 
 
 def hinge_stiffness(mesh: ClothMesh, bending_N_m: np.ndarray) -> np.ndarray:
-    """Stiffness ke of each hinge at the table's curvatures, in N m, shape (H, columns).
-
-    Linear in direction between the rows of ``bending_N_m``, shape (3, columns).
-    """
+    """Stiffness ke (N m) of each hinge at the table's curvatures, shape (H, columns)."""
     direction = hinge_geometry(mesh)[2]
     row = np.minimum(direction.astype(int), len(bending_N_m) - 2)
     part = (direction - row)[:, None]

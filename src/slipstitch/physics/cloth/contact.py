@@ -13,8 +13,6 @@ area is large: cloth that lies evenly sinks in evenly, and all of it reaches the
 The limit is mu P (Amontons and Coulomb) or that of an extended law.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import warp as wp
 
@@ -71,10 +69,7 @@ def ground_point(p: wp.vec3d, curvature: wp.float64) -> GroundPoint:
 
 
 def ground_coordinates(x: np.ndarray, curvature: float) -> tuple[np.ndarray, np.ndarray]:
-    """Coordinates of many points (n, 3) along, across, above the ground, as `ground_point`.
-
-    And frames (n, 3, 3): rows are the unit vectors along, across, above.
-    """
+    """Coordinates of points (n, 3) along, across, above the ground, and their unit vectors."""
     frames = np.broadcast_to(np.eye(3), (len(x), 3, 3)).copy()
     if curvature == 0:
         return x, frames
@@ -263,10 +258,7 @@ def contact_tangent(
     symmetric: bool,
     blocks: wp.array(dtype=wp.mat33d),
 ):
-    """Tangents of the ground's force on some nodes, 3 x 3: exact by central differences.
-
-    ``symmetric`` gives what :func:`node_stiffness` adds to the matrix instead.
-    """
+    """Tangents of the ground's force on some nodes: exact, or as `node_stiffness` adds them."""
     k = wp.tid()
     i = numbers[k]
     if symmetric:
@@ -287,10 +279,7 @@ def contact_tangent(
 def advance_friction_state(
     x: wp.array(dtype=wp.vec3d), nodes: Nodes, law: FrictionState, state: wp.array(dtype=wp.int32)
 ):
-    """After an accepted step: who rests and who slides, for how long, how often.
-
-    A slide ends when the node comes to rest or leaves the floor.
-    """
+    """After an accepted step: who rests and who slides, for how long, how often."""
     i = wp.tid()
     here = ground_point(x[i], nodes.curvature)
     before = ground_point(law.start[i], nodes.curvature)

@@ -7,8 +7,6 @@ as in the original. Damping is Kelvin-Voigt: the stress of the strain's change o
 times damping time over step.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import warp as wp
 
@@ -138,10 +136,7 @@ def stretching_force(
 
 @wp.kernel
 def stretching_stiffness(x: wp.array(dtype=wp.vec3d), faces: Faces, entries: Entries):
-    """Add each face's stiffness to the lower triangle of the matrix, kept positive definite.
-
-    The geometric term enters with the tensile part of the stress only.
-    """
+    """Add each face's stiffness, kept positive definite: of stress only the tensile part."""
     t = wp.tid()
     face = deformation(x, faces, t)
     k = stiffness_at(faces.table, face.G[0], face.G[1], face.G[2])

@@ -1,7 +1,5 @@
 """The friction of the floor: its law, and what each node remembers of its contact."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from math import cos, sin
 
@@ -33,8 +31,7 @@ class Conditions:
 class FloorFriction:
     """Law and contact history of the nodes, as the kernels read them.
 
-    The friction is Coulomb's coefficient, for all nodes or node by node (V,), or a law; from
-    ``full_touch_N`` on, a node touches with its whole area.
+    From a load of ``full_touch_N`` on, a node touches with its whole area.
     """
 
     def __init__(
@@ -84,7 +81,7 @@ class FloorFriction:
         warp = cos(angle) * along_u + sin(angle) * along_v
         self.state.warp.assign(np.ascontiguousarray(warp.reshape(-1, 2)))
 
-    def go_on_from(self, other: FloorFriction) -> None:
+    def go_on_from(self, other: "FloorFriction") -> None:
         """Take the contact history of another one of the same cloth."""
         for name in ("sliding", "dwell_s", "repeats"):
             getattr(self.state, name).assign(getattr(other.state, name))

@@ -10,8 +10,6 @@ along the spring, and the memory is dragged after (slip). Simo and Hughes, Compu
 Inelasticity (1998), ch. 1; Wriggers, Computational Contact Mechanics (2006).
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import warp as wp
@@ -144,12 +142,7 @@ def returned_stiffness(
 ) -> wp.mat33d:
     """Symmetric part of the tangent (N/m): how the limit follows the load is left out.
 
-    Parameters
-    ----------
-    pull_m : float64
-        Length of the spring.
-    surface, sideways : mat33d
-        Projectors on the surface, and on its direction across the spring.
+    Projectors lead to the surface, and to its direction across the spring.
     """
     if pull_m * stiffness <= limit:
         return surface * stiffness

@@ -1,7 +1,5 @@
 """Regular triangle meshes of a flat sheet, and what the solver precomputes on them."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -8,8 +8,6 @@ keeps a pair apart is additive advancement (Li, Kaufman and Jiang, ACM TOG 40(4)
 are found with bounding-box trees.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np
@@ -167,10 +165,7 @@ def advanced(p: Corners, move: Corners, part: wp.float64) -> Corners:
 
 @wp.func
 def clear_part(kind: int, p: Corners, move: Corners) -> wp.float64:
-    """Part of a straight motion, at most 1, before the sides have come almost together.
-
-    Up to it the distance never falls under a tenth of what it was.
-    """
+    """Part of a straight motion before the distance falls to a tenth of what it was."""
     approach = largest_approach(kind, move)
     gap = distance(kind, p)
     if approach <= (ONE - KEPT) * gap:
@@ -246,10 +241,7 @@ def near_pairs(
     upper: wp.array(dtype=wp.vec3),
     found: Found,
 ):
-    """List the pairs that come nearer than reach anywhere on their way.
-
-    Counts past the end of ``found.pairs`` without writing there.
-    """
+    """List pairs that come nearer than reach on their way; count also those without room."""
     i = wp.tid()
     query = wp.bvh_query_aabb(bvh, lower[i], upper[i])
     j = wp.int32(0)
@@ -270,11 +262,7 @@ def near_pairs(
 
 
 class NearPairs:
-    """Search among the vertices, triangles and edges of one mesh.
-
-    A pair is named by a key, its row in the table of all possible pairs: first vertices with
-    triangles, then edges with edges.
-    """
+    """Search among the parts of one mesh; a key is a pair's row in the table of all pairs."""
 
     def __init__(self, faces: np.ndarray, vertex_count: int, device: str):
         self.faces, self.edges = faces, edges_of(faces)

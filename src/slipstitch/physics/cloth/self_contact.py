@@ -13,8 +13,6 @@ keeps every pair apart (additive advancement), near pairs being searched for alo
 that motion.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import warp as wp
 
@@ -119,12 +117,7 @@ def self_contact_stiffness(
     column_length: wp.array(dtype=wp.int32, ndim=2),
     values: wp.array(dtype=wp.float64),
 ):
-    """Add the symmetric part of the contact's stiffness.
-
-    ``place`` and ``column_length`` hold, for each of the ten blocks of the lower triangle of
-    nodes (as :func:`slipstitch.physics.cloth.tangent.Tangent.blocks` numbers them), where its first
-    column's entries start and how long the first column of its nodes is.
-    """
+    """Add the symmetric part of the contact's stiffness, where `Tangent.couple` made room."""
     i = wp.tid()
     n = pairs.nodes[i]
     p = corners_of(x, n)
@@ -219,11 +212,7 @@ def clear_parts(
 
 
 class SelfContact:
-    """Contact of one sheet with itself.
-
-    Two layers begin to push each other at a distance, the thickness, well under the mesh's spacing.
-    The stiffness is that of one pair, normal and tangential.
-    """
+    """Contact of one sheet with itself; the stiffness is a pair's, normal and tangential."""
 
     def __init__(
         self,

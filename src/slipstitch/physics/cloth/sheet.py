@@ -8,8 +8,6 @@ Sums over elements go through atomic additions: on the CPU, where a kernel's ele
 in a fixed order; on a GPU in any order.
 """
 
-from __future__ import annotations
-
 import numpy as np
 import warp as wp
 
@@ -23,10 +21,9 @@ from slipstitch.physics.fabric import ElasticTables
 
 
 class Sheet:
-    """Device arrays and launches of a sheet on a Warp device: ``cpu``, ``cuda``, ``cuda:1`` ...
+    """Device arrays and launches of a sheet whose ``fixed`` coordinates (V, 3) are prescribed.
 
-    Coordinates that are ``fixed`` (V, 3) are prescribed. The nodes come with masses and ground; the
-    other arrays are made here. The rule of the hinges is one of :data:`bending.STIFFNESS_RULES`.
+    The nodes come with masses and ground; the other arrays are made here.
     """
 
     def __init__(

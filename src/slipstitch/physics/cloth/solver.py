@@ -8,8 +8,6 @@ when the largest out-of-balance force on any node is a small fraction of the fri
 that a node of the cloth can bear; a step that does not get there is halved and repeated.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, fields
 from enum import Enum, auto
@@ -75,7 +73,7 @@ class SolverSettings:
     device: str = "cpu"  # of Warp, on which forces and stiffness are evaluated
 
     @classmethod
-    def of(cls, settings: object) -> SolverSettings:
+    def of(cls, settings: object) -> "SolverSettings":
         """Take what another settings object has under the same names."""
         names = [one.name for one in fields(cls) if hasattr(settings, one.name)]
         return cls(**{name: getattr(settings, name) for name in names})
@@ -106,7 +104,7 @@ class StepRecord:
     solves: int = 0
     touching_pairs: int = 0  # most at the end of a step
 
-    def add(self, other: StepRecord) -> None:
+    def add(self, other: "StepRecord") -> None:
         """Add another record to this one."""
         for one in fields(self):
             together = max if one.name in ("largest_residual", "touching_pairs") else add
@@ -252,9 +250,8 @@ class ClothSolver:
     def _correction(self, residual: np.ndarray) -> np.ndarray:
         """Newton correction at the positions last evaluated.
 
-        The factor holds the symmetric part of contact as it was when it was made. The difference C
-        to the exact tangent of contact now is solved for by GMRES, preconditioned with the factor:
-        (A + C) A^-1 y = -r needs products with C only.
+        The factor A holds contact as it was; with the difference C to its exact tangent now, GMRES
+        on (A + C) A^-1 y = -r needs products with C only.
         """
         nodes, blocks = self._contact_blocks()
         difference = -self._factored_blocks
@@ -382,11 +379,10 @@ class ClothSolver:
         return 0.5 * sqrt(np.einsum("ij,ij->", x - target, x - target) / len(x))
 
     def _guess(self, target: np.ndarray, step_s: float) -> np.ndarray:
-        """Initial guess of the solution, given the purely inertial motion.
+        """Initial guess: as if the acceleration of the last steps went on.
 
-        As if the acceleration of the last steps went on: nearer than the target where it does. But
-        nodes in contact stay as deep in the ground as they are, and no other one goes in: a depth
-        of micrometres, extrapolated, is a load many times the cloth's.
+        But nodes in contact stay as deep in the ground as they are, and no other one goes in: a
+        depth of micrometres, extrapolated, is a load many times the cloth's.
         """
         guess = target + 0.5 * step_s * (step_s + self._last_step_s) * self._acceleration_m_s2
         curvature = self.ground_curvature_per_m
@@ -415,10 +411,7 @@ class ClothSolver:
             self.floor.set_directions(place)
 
     def _solve_apart(self, guess: np.ndarray) -> tuple[np.ndarray, float]:
-        """Positions (V, 3) at the end of the step, and the relative residual.
-
-        The residual is infinite if parts of the cloth would pass through each other on the way.
-        """
+        """Positions (V, 3) at the end, and the residual: infinite if parts passed through."""
         tolerance = self.settings.friction_tolerance
         layers = self._layers
         for _ in range(COVERS_MAX):
@@ -483,7 +476,7 @@ class ClothSolver:
         self.floor.begin(self.positions_m, place)
         self.sheet.begin_step(self.positions_m)
 
-    def go_on_from(self, other: ClothSolver) -> None:
+    def go_on_from(self, other: "ClothSolver") -> None:
         """Take the state of another solver of the same cloth; layers forget their friction."""
         self.positions_m, self.velocities_m_s = other.positions_m, other.velocities_m_s
         self._acceleration_m_s2, self._last_step_s = other._acceleration_m_s2, other._last_step_s
@@ -532,10 +525,7 @@ class ClothSolver:
         return self._attempt(duration_s, prescribed, may_refine=True) is Outcome.ACCEPTED
 
     def foreseen_step_s(self) -> float:
-        """Longest step to be accurate if the motion goes on as in the last step.
-
-        0 before the first step, and where any error is allowed.
-        """
+        """Longest step to be accurate if the motion goes on as in the last one; 0: not known."""
         allowed_m = self.settings.step_error_m
         if not isfinite(allowed_m):
             return 0.0
@@ -563,11 +553,7 @@ class ClothSolver:
     # -- observables ----------------------------------------------------------------------
 
     def reactions(self) -> np.ndarray:
-        """Forces of the holder on the prescribed coordinates, shape (V, 3); zero elsewhere.
-
-        What elastic, gravity and floor forces leave over; without inertia: for rest or steady
-        motion.
-        """
+        """Forces (V, 3) of the holder on prescribed coordinates, at rest or in steady motion."""
         self._nodes.target.assign(self.positions_m)
         self.sheet.damping_ratio.fill_(0.0)
         free = self._nodes.free.numpy().copy()

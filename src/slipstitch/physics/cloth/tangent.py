@@ -1,7 +1,5 @@
 """The tangent stiffness: pattern, assembly places, sparse Cholesky factor; flexible GMRES."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from math import hypot
 
@@ -35,8 +33,7 @@ def add_entry(entries: Entries, element: int, column: int, value: wp.float64):
 class _Pattern:
     """Lower triangle of a symmetric matrix of 3 x 3 blocks, in compressed column form.
 
-    Its keys are sorted, unique ``column node * node count + row node`` with row >= column, every
-    diagonal block among them.
+    Keys are ``column node * node count + row node``, sorted, every diagonal block among them.
     """
 
     def __init__(self, keys: np.ndarray, node_count: int):
@@ -85,18 +82,9 @@ class _Pattern:
 class Assembly:
     """Positions in the tangent stiffness to which the elements of a mesh contribute.
 
-    Elements (n, k) of each kind (faces, hinges) list the nodes that they couple. Rows and columns
-    of fixed coordinates (V, 3) are those of the identity.
-
-    Attributes
-    ----------
-    template : wp.array
-        Entries of no element.
-    entries : list of wp.array, shape (n, 9 k^2)
-        For each kind of element, where its entry (row, column) goes; -1 for entries above the
-        diagonal or of fixed coordinates.
-    node_entries : wp.array, shape (V, 6)
-        Likewise for (xx, yx, yy, zx, zy, zz) of each node's own block.
+    Elements (n, k) list the nodes that they couple. ``template`` has the identity at fixed
+    coordinates (V, 3), ``entries`` (n, 9 k^2) where an element's entries go, -1 above the diagonal
+    or fixed, and ``node_entries`` (V, 6) likewise of a node's block (xx, yx, yy, zx, zy, zz).
     """
 
     def __init__(self, elements: list[np.ndarray], fixed: np.ndarray, device: str):
@@ -137,10 +125,7 @@ class Assembly:
 
 
 class Tangent:
-    """Tangent stiffness of one sheet, factored by CHOLMOD on the host.
-
-    Nodes are eliminated in an order (V,); elements add to ``values``.
-    """
+    """Tangent stiffness of one sheet, to whose values elements add; factored by CHOLMOD."""
 
     def __init__(self, assembly: Assembly, elimination_order: np.ndarray, values: wp.array):
         self._assembly = assembly
@@ -161,8 +146,7 @@ class Tangent:
     def couple(self, contacts: np.ndarray) -> tuple[wp.array, wp.array]:
         """Make room for contacts (N, 4), each of which couples four nodes.
 
-        Returns, shape (N, 10), of the node pairs (a, b), b <= a, row by row: where the block's
-        first column starts, and how long that column is.
+        Return (N, 10) of the node pairs b <= a: start and length of the block's first column.
         """
         keys = np.union1d(self._own.keys, self._assembly.pair_keys(contacts))
         whole = self._whole = _Pattern(keys, self._assembly.node_count)
@@ -229,12 +213,9 @@ def flexible_gmres(
 ) -> np.ndarray:
     """Solve K x = b for x (n,), to where it comes within the products allowed.
 
-    Saad, A flexible inner-outer preconditioned GMRES algorithm, SIAM J. Sci. Comput. 14 (1993):
-    the preconditioned basis is kept. SciPy's GMRES solves with the preconditioner once more for its
-    answer: of two or three products a correction, as the cloth needs, a third of the solves.
-
-    The preconditioner ``solve`` gives d = A^-1 y, ``product`` gives K d from y and d; b, ``right``,
-    is not zero, and the accuracy is the residual wanted over its size.
+    Saad, SIAM J. Sci. Comput. 14 (1993): the preconditioned basis is kept. SciPy's GMRES solves
+    with the preconditioner once more for its answer, a third of the solves here. ``solve`` gives
+    d = A^-1 y, ``product`` K d from y and d; b is not zero, the accuracy relative to its size.
     """
     size = float(np.linalg.norm(right))
     basis, solutions = [right / size], []

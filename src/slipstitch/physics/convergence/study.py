@@ -1,7 +1,5 @@
 """Comparison of runs of drop-and-drag with finer ones: distances, events, verdicts."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import asdict
@@ -14,24 +12,12 @@ from slipstitch.base.errors import BadInput
 from slipstitch.config import Config
 from slipstitch.design.stage_path import StagePath
 from slipstitch.physics.convergence.cases import cases
-from slipstitch.physics.simulation.convergence import (
-    BUT_FOR_ITS_COURSE,
-    BUT_FOR_ITS_MOMENT,
-    CONVERGED,
-    NOT_CONVERGED,
-    worst_verdict,
-)
+from slipstitch.physics.simulation import convergence
 from slipstitch.physics.simulation.trajectory import Trajectory
 
 SUMMARISED = (
-    "finest",
-    "mean_m",
-    "mean_largest_m",
-    "worst_m",
-    "shifted_mean_m",
-    "shifted_largest_m",
-    "steady_largest_m",
-    "worst_shift_s",
+    *("finest", "mean_m", "mean_largest_m", "worst_m", "shifted_mean_m"),
+    *("shifted_largest_m", "steady_largest_m", "worst_shift_s"),
 )
 # Converged: the mean distance of the vertices is within this at all times.
 MEAN_DISTANCE_M = 1e-3
@@ -60,9 +46,8 @@ def events(run: Trajectory) -> dict[str, float | None]:
     """Times of the fast events, in s; None for one that does not happen.
 
     ``landing``: the lower edge comes to within 1 mm of the floor. ``slip``: from when on it is 2 mm
-    or more from where it lay as the stroke began. ``flip``: the cloth rolls over, its vertices
-    moving relative to the clamps at 20 mm/s or more on average, twice the speed of the stage; the
-    moment when that is fastest. Those of a second stroke are ``slip 2``, ``flip 2``, and so on.
+    from where it lay as the stroke began. ``flip``: its vertices move relative to the clamps at
+    20 mm/s on average, twice the speed of the stage, and fastest. ``slip 2`` is of stroke 2.
     """
     time_s = run.time_s
     found: dict[str, float | None] = {"landing": _first(time_s, 1e-3 - _lower_edge_m(run)[:, 2])}
@@ -116,8 +101,7 @@ def _dragged_m(run: Trajectory, part: slice) -> np.ndarray:
 def _slip_shifts(first: Trajectory, second: Trajectory) -> dict[str, float]:
     """How much later the lower edge slips in the first run, where either's is dragged so far.
 
-    The moments at which the other's is, to within `SLIP_UNSURE_M`: an edge may come to rest, or the
-    run may end, a little short of the distance.
+    The other's is to within `SLIP_UNSURE_M`: it may come to rest, or the run end, a little short.
     """
     found = {}
     for number, part in _strokes(first):
@@ -153,18 +137,12 @@ def compare(run: Trajectory, finest: Trajectory, sides: tuple[int, ...]) -> dict
     """Distance between two runs with the same frames, vertex by vertex, and at shifted times.
 
     ``sides`` are the vertices a side of all meshes that are to be compared at the same places.
-
-    Returns
-    -------
-    dict
-        ``mean_m``: mean over vertices and time; ``mean_largest_m``: the largest mean of a moment;
-        ``worst_m``: the worst vertex of any moment; ``shifted_mean_m``, ``shifted_largest_m``:
-        the first two, every moment compared with that moment of the finest, up to 2 s before or
-        after, which is most like it (places relative to the clamps, a straight line from frame to
-        frame; the largest less what that leaves out of a curved way); ``worst_shift_s``: how much
-        later that is, at the moment of the largest mean; ``steady_largest_m``: the largest mean of
-        moments at which both runs are steadily dragged (None: there are none); ``events``: times
-        in both and their difference; ``curve``: thinned out.
+    Return ``mean_m`` over vertices and time, ``mean_largest_m`` of a moment, ``worst_m`` of any
+    vertex; ``shifted_mean_m`` and ``shifted_largest_m``, every moment compared with that moment of
+    the finest, up to 2 s before or after, which is most like it (straight from frame to frame; the
+    largest less what that leaves out of a curved way), and ``worst_shift_s``, how much later that
+    is at the largest mean; ``steady_largest_m``, the largest mean while both runs are steadily
+    dragged, or None; ``events``, times in both and their difference; and ``curve``, thinned out.
     """
     if len(run.time_s) != len(finest.time_s) or np.abs(run.time_s - finest.time_s).max() > 1e-9:
         raise BadInput("the runs have different frames; regenerate them")
@@ -216,10 +194,9 @@ def _is_steady(places_m: np.ndarray, time_s: np.ndarray) -> np.ndarray:
 
 
 def _least_mean_distance(first, second, time_s) -> tuple[np.ndarray, ...]:
-    """Of each moment of the first from the second's way 2 s before and after.
+    """Of each moment of the first from the second's way 2 s before and after, each (T,).
 
-    Distance, how much later that is, and what a straight line from frame to frame leaves out of the
-    way there: an eighth of the second difference, if the acceleration is constant; each (T,).
+    Distance, how much later, and what a straight line leaves out of an evenly accelerated way.
     """
     frames = len(time_s)
     frame_s = time_s[1] - time_s[0] if frames > 1 else 1.0
@@ -251,11 +228,7 @@ def _for_good(time_s: np.ndarray, value: np.ndarray) -> float | None:
 
 
 def comparisons(config: Config, runs: Mapping[str, Trajectory]) -> list[dict[str, Any]]:
-    """Every run, by id of its case, against the finest of its kind.
-
-    As `compare`, with ``material``, ``friction``, ``kind`` (time step or mesh), ``time_step_s``,
-    ``vertices_per_side`` and ``finest`` (the id compared with).
-    """
+    """Every run, by id of its case, against the finest of its kind, as `compare` does."""
     here, found = [case for case in cases(config) if case.id in runs], []
     for chosen in here:
         if chosen.vertices_per_side != config.convergence.vertices_per_side[0] or chosen.halvings:
@@ -284,10 +257,9 @@ def comparisons(config: Config, runs: Mapping[str, Trajectory]) -> list[dict[str
 def summary(compared: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """The summary for the metadata of simulations: the chosen settings, pair by pair.
 
-    A row has ``material, friction, time_step, mesh, verdict``; the third and fourth hold
-    `SUMMARISED` numbers, ``event_shift_s`` (the largest), ``events_missing`` (those that happen in
-    one of the two runs only) and a ``verdict`` of their own, or are None where not studied. The
-    verdict of both is the worse one, None if nothing speaks against convergence and not both were
+    A row has ``material, friction, time_step, mesh, verdict``; of a refinement, None where not
+    studied, it holds `SUMMARISED` numbers, ``event_shift_s`` (the largest), ``events_missing``
+    (in one run only) and a ``verdict``. That of both is the worse one, or None if not both were
     studied.
     """
     rows: dict[tuple[str, float], dict] = {}
@@ -309,8 +281,8 @@ def summary(compared: list[dict[str, Any]]) -> list[dict[str, Any]]:
             found["verdict"] = _verdict(found)
     for row in rows.values():
         studied = [row[key] for key in ("time_step", "mesh") if row[key] is not None]
-        row["verdict"] = worst_verdict([found["verdict"] for found in studied])
-        if len(studied) < 2 and row["verdict"] != NOT_CONVERGED:
+        row["verdict"] = convergence.worst_verdict([found["verdict"] for found in studied])
+        if len(studied) < 2 and row["verdict"] != convergence.NOT_CONVERGED:
             row["verdict"] = None  # what was not studied may speak against it
     return list(rows.values())
 
@@ -318,14 +290,14 @@ def summary(compared: list[dict[str, Any]]) -> list[dict[str, Any]]:
 def _verdict(found: Mapping[str, Any]) -> str:
     """Of one kind of refinement: the same; but for when or how it rolls over; something else."""
     if found["mean_largest_m"] <= MEAN_DISTANCE_M:
-        return CONVERGED
+        return convergence.CONVERGED
     steady_m, shifted_m = found["steady_largest_m"], found["shifted_largest_m"]
     if steady_m is None or steady_m > MEAN_DISTANCE_M or found["events_missing"]:
-        return NOT_CONVERGED
+        return convergence.NOT_CONVERGED
     shift_s = max(found["event_shift_s"], abs(found["worst_shift_s"]))
     if shifted_m <= MEAN_DISTANCE_M:
-        return BUT_FOR_ITS_MOMENT.format(shift_s)
-    return BUT_FOR_ITS_COURSE.format(shift_s, 1e3 * shifted_m)
+        return convergence.BUT_FOR_ITS_MOMENT.format(shift_s)
+    return convergence.BUT_FOR_ITS_COURSE.format(shift_s, 1e3 * shifted_m)
 
 
 def describe(config: Config, runs: Mapping[str, Trajectory]) -> dict[str, Any]:

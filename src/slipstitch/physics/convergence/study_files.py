@@ -1,7 +1,5 @@
 """The files of the study: the comparison of all cases, its picture, and the published results."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -12,19 +10,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
+from slipstitch.base import provenance
 from slipstitch.base.errors import BadInput, Damaged
-from slipstitch.base.page.figures import a_few, new_figure, save_figure, styled
+from slipstitch.base.page.figures import new_figure, save_figure, styled
 from slipstitch.base.page.palette import FAINT, SOFT
-from slipstitch.base.provenance import (
-    atomic_path,
-    file_digest,
-    provenance_record,
-    read_json,
-    reading,
-    recorded_path,
-    start_clock,
-    write_json,
-)
+from slipstitch.base.page.wording import evenly
 from slipstitch.base.provenance.files import SIDECAR_SUFFIX, record_beside
 from slipstitch.config import Config
 from slipstitch.physics.convergence.cases import cases
@@ -46,19 +36,19 @@ def compare_cases(
     picture: str | os.PathLike | None,
 ) -> dict[str, Any]:
     """Compare the cases that a folder holds; write and return what `describe` finds."""
-    started = start_clock()
+    started = provenance.start_clock()
     files = {case.id: Path(folder) / f"{case.id}.parquet" for case in cases(config)}
     files = {name: file for name, file in files.items() if file.is_file()}
     study = describe(config, {name: read_trajectory(file) for name, file in files.items()})
-    record = provenance_record(
+    record = provenance.provenance_record(
         "convergence",
         inputs=files.values(),
         config={"convergence": config.convergence, "simulation": config.simulation},
         started=started,
     )
-    write_json(out, study, record, indent=None)
+    provenance.write_json(out, study, record, indent=None)
     if picture:
-        with recorded_path(picture, record) as temporary:
+        with provenance.recorded_path(picture, record) as temporary:
             save_figure(convergence_figure(study), temporary, dots_per_inch=110)
     return study
 
@@ -66,13 +56,12 @@ def compare_cases(
 def publish(study_path: str | os.PathLike, folder: str | os.PathLike) -> int:
     """Copy a finished study to where it is kept, its summary to where simulations look it up.
 
-    Returns the number of cases. Nothing is written if study, picture or a record of their origin is
-    missing or damaged, or runs of the study are missing.
+    Return the number of cases; nothing is written of a study that is not whole.
     """
     source = Path(study_path)
     files = [*_recorded(source), *_recorded(source.with_suffix(".png"))]
-    study = read_json(source)
-    with reading(source, "convergence study"):
+    study = provenance.read_json(source)
+    with provenance.reading(source, "convergence study"):
         own, missing = study["settings"]["convergence"], study["missing"]
         table = {
             "studied": {
@@ -89,9 +78,9 @@ def publish(study_path: str | os.PathLike, folder: str | os.PathLike) -> int:
             f"only a whole study is published; {_AGAIN}"
         )
     for file in files:
-        with atomic_path(Path(folder) / file.name) as temporary:
+        with provenance.atomic_path(Path(folder) / file.name) as temporary:
             temporary.write_bytes(file.read_bytes())
-    write_json(MEASURED, table)
+    provenance.write_json(MEASURED, table)
     return len(table["cases"])
 
 
@@ -101,7 +90,7 @@ def _recorded(file: Path) -> tuple[Path, Path]:
     for needed in (file, side):
         if not needed.is_file():
             raise BadInput(f"{needed}: no such file; {_AGAIN}")
-    if (record_beside(file) or {}).get("sha256") != file_digest(file):
+    if (record_beside(file) or {}).get("sha256") != provenance.file_digest(file):
         raise Damaged(file, "its content does not match its record")
     return file, side
 
@@ -155,7 +144,7 @@ def convergence_figure(study: Mapping[str, Any]) -> Figure:
         )
     ]
     look = {"ncols": 2, "frameon": False, "fontsize": 7.5}
-    figure.legend(handles=a_few(coefficients), loc="outside upper left", **look)
+    figure.legend(handles=evenly(coefficients), loc="outside upper left", **look)
     figure.legend(handles=styles, loc="outside upper right", **look)
     return figure
 

@@ -1,7 +1,5 @@
 """Heavy cantilever: a narrow strip clamped horizontally that bends under its own weight."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any
@@ -12,15 +10,7 @@ from scipy.optimize import brentq
 
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics import GRAVITY_M_S2
-from slipstitch.physics.experiments.specimen import (
-    AREAL_DENSITY_KG_M2,
-    Demand,
-    bring_to_rest,
-    clamped_strip,
-    held,
-    require,
-    started,
-)
+from slipstitch.physics.experiments import specimen
 from slipstitch.physics.fabric import isotropic_tables
 
 LENGTH_M = 0.20
@@ -28,7 +18,7 @@ ROWS = 81
 THICKNESS_M = 2.0e-3  # thick against the sag across: the cross-section is free to curve
 GAMMA_RANGE = (0.05, 200.0)
 SMALL_GAMMA = 0.05  # sags by 0.6 % of its length: linear to 4e-5
-DEMANDS = (Demand("height_over_width", 0.02),)
+DEMANDS = (specimen.Demand("height_over_width", 0.02),)
 THEORY_GAMMAS = (1.0e-3, 1.0e4)
 # Bounds of the shooting parameter that enclose that range of Γ.
 _PARAMETERS = (-10.0, 80.0)
@@ -83,7 +73,7 @@ def heavy_cantilever(gamma: float) -> HeavyCantilever:
     Solves θ'' = −Γ (1 − s) cos θ with θ(0) = 0 at the clamp and θ'(1) = 0 at the tip (θ below the
     horizontal; Bickley 1934; Peirce 1930 for cloth), by shooting from the tip; 10⁻³ ≤ Γ ≤ 10⁴.
     """
-    gamma = require("gamma", gamma, *THEORY_GAMMAS)
+    gamma = specimen.require("gamma", gamma, *THEORY_GAMMAS)
     parameter = brentq(lambda x: math.log(_from_the_tip(x).gamma / gamma), *_PARAMETERS, xtol=1e-12)
     return _from_the_tip(parameter)
 
@@ -91,14 +81,8 @@ def heavy_cantilever(gamma: float) -> HeavyCantilever:
 def cantilever(settings: SimulationSettings, gamma: float) -> dict[str, Any]:
     """Height over width of a strip at rest, at Γ = areal density x gravity x length^3 / B.
 
-    The rigidity is the one that the mesh has: read off a sag so small that it is linear
-    (deflection of the tip Γ/8 of the length).
-
-    Returns
-    -------
-    dict
-        ``height_over_width``, ``theory_height_over_width``, and
-        ``hinge_stiffness_over_rigidity``, ke/B.
+    The rigidity is the one that the mesh has: read off a sag so small that it is linear (Γ/8 of the
+    length). Return ``[theory_]height_over_width`` and ``hinge_stiffness_over_rigidity``, ke/B.
     """
     guess = 4.0
     _, down_m = _sag(settings, SMALL_GAMMA, guess)
@@ -115,18 +99,18 @@ def _sag(
     settings: SimulationSettings, gamma: float, stiffness_over_rigidity: float
 ) -> tuple[float, float]:
     """Horizontal and vertical distance of the tip from the clamp, at rest, in m."""
-    mesh, spacing_m = clamped_strip(ROWS, LENGTH_M)
-    rigidity_Nm = AREAL_DENSITY_KG_M2 * GRAVITY_M_S2 * LENGTH_M**3 / gamma
+    mesh, spacing_m = specimen.clamped_strip(ROWS, LENGTH_M)
+    rigidity_Nm = specimen.AREAL_DENSITY_KG_M2 * GRAVITY_M_S2 * LENGTH_M**3 / gamma
     height_m = 2 * LENGTH_M  # clear of the floor
     start_m = np.column_stack(
         [mesh.rest_uv_m[:, ::-1], np.full(mesh.vertex_count, height_m)]
     ) - np.array([0.5 * spacing_m, 0.0, 0.0])
     stiffness = 12 * rigidity_Nm / THICKNESS_M**2, stiffness_over_rigidity * rigidity_Nm
-    tables = isotropic_tables(AREAL_DENSITY_KG_M2, *stiffness)
+    tables = isotropic_tables(specimen.AREAL_DENSITY_KG_M2, *stiffness)
     # No friction here: the tolerance is relative to the lesser of weight and rigidity.
     floor = min(1.0, 1.0 / gamma)
-    fixed = held(mesh, 2, cylindrical=False)
-    solver = started(settings, mesh, tables, start_m, fixed, friction_floor=floor)
-    bring_to_rest(solver, math.sqrt(gamma * LENGTH_M / GRAVITY_M_S2))
+    fixed = specimen.held(mesh, 2, cylindrical=False)
+    solver = specimen.started(settings, mesh, tables, start_m, fixed, friction_floor=floor)
+    specimen.bring_to_rest(solver, math.sqrt(gamma * LENGTH_M / GRAVITY_M_S2))
     tip_m = solver.positions_m[-2:].mean(axis=0)
     return float(tip_m[0]), float(height_m - tip_m[2])

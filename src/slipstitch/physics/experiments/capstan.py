@@ -3,8 +3,6 @@
 Without weight: the cylinder is the ground, and what presses the strip on it is its tension.
 """
 
-from __future__ import annotations
-
 from math import cos, exp, expm1, radians, sin
 from typing import Any
 
@@ -13,14 +11,7 @@ import numpy as np
 from slipstitch.base.errors import BadInput, NotConverged
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics.cloth import ClothSolver, Conditions, rectangle
-from slipstitch.physics.experiments.specimen import (
-    Demand,
-    advance_evenly,
-    cylindrical_strip_tables,
-    held,
-    require,
-    started,
-)
+from slipstitch.physics.experiments import specimen
 
 RADIUS_M = 0.020
 TURN_A_VERTEX_RAD = radians(2.0)
@@ -32,7 +23,7 @@ WRAP_DEG_RANGE = (0.01, 270.0)
 LARGEST_RATIO = 100.0
 PULL_S = 2.0
 ROUNDS_MAX = 20  # of that, until nothing sticks any more
-DEMANDS = (Demand("tension_ratio", 0.02),)
+DEMANDS = (specimen.Demand("tension_ratio", 0.02),)
 
 
 def capstan_theory(friction: float, wrap_rad: float) -> float:
@@ -42,17 +33,15 @@ def capstan_theory(friction: float, wrap_rad: float) -> float:
     follows it for B/(T R²) < 0.01. The friction coefficient μ and the angle φ of contact (rad) are
     at least 0.
     """
-    return exp(require("friction", friction, 0.0) * require("wrap_rad", wrap_rad, 0.0))
+    return exp(
+        specimen.require("friction", friction, 0.0) * specimen.require("wrap_rad", wrap_rad, 0.0)
+    )
 
 
 def capstan(settings: SimulationSettings, friction: float, wrap_deg: float) -> dict[str, Any]:
-    """Ratio of the tensions of a strip pulled around a cylinder until all of it slips.
+    """Pull a strip around a cylinder until all of it slips.
 
-    Returns
-    -------
-    dict
-        ``tension_ratio``, ``theory_tension_ratio``, and ``bending_over_tension``, B/(T R²) at
-        the held end.
+    Return ``[theory_]tension_ratio`` and ``bending_over_tension``, B/(T R²) at the held end.
     """
     wrap = radians(wrap_deg)
     expected = capstan_theory(friction, wrap)
@@ -75,7 +64,7 @@ def capstan(settings: SimulationSettings, friction: float, wrap_deg: float) -> d
         return start_m + pulled[:, None] * tangent * (stretch_m * time_s / PULL_S)
 
     for _ in range(ROUNDS_MAX):
-        advance_evenly(solver, PULL_S, settings.time_step_s, pull)
+        specimen.advance_evenly(solver, PULL_S, settings.time_step_s, pull)
         if not (friction and solver.sticks().any()):
             break
     else:
@@ -116,13 +105,13 @@ def _wrapped(
     x = RADIUS_M * np.sin(on) + off_m * np.cos(on)
     z = RADIUS_M * (np.cos(on) - 1) - off_m * np.sin(on)
     start_m = np.column_stack([np.repeat(x, 2), mesh.rest_uv_m[:, 0], np.repeat(z, 2)])
-    fixed = held(mesh, 1)
+    fixed = specimen.held(mesh, 1)
     fixed[-2:] = True
     tension_N = MEMBRANE_STIFFNESS_N_M * held_strain * rest_m
-    tables = cylindrical_strip_tables(MEMBRANE_STIFFNESS_N_M, _rigidity(held_strain))
+    tables = specimen.cylindrical_strip_tables(MEMBRANE_STIFFNESS_N_M, _rigidity(held_strain))
     conditions = Conditions(
         gravity_m_s2=(0.0, 0.0, 0.0),
         nodal_force_N=tension_N * turn / 2,
         ground_curvature_per_m=1 / RADIUS_M,
     )
-    return started(settings, mesh, tables, start_m, fixed, friction, conditions), start_m
+    return specimen.started(settings, mesh, tables, start_m, fixed, friction, conditions), start_m

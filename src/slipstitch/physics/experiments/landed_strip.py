@@ -3,8 +3,6 @@
 The side to which it buckles is set by a slight natural curl.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
@@ -17,16 +15,7 @@ from slipstitch.base.errors import NotConverged
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.cloth import ClothSolver, Conditions
-from slipstitch.physics.experiments.specimen import (
-    AREAL_DENSITY_KG_M2,
-    Demand,
-    carried,
-    clamped_strip,
-    cylindrical_strip_tables,
-    held,
-    require,
-    started,
-)
+from slipstitch.physics.experiments import specimen
 from slipstitch.physics.experiments.strip import (
     FLAT_FOOT_RAD,
     LENGTH_M,
@@ -41,9 +30,9 @@ LOWERED_ON_M = 0.010  # after the foot slipped or lay flat
 SLIP_M = 2.0e-5
 SMALLEST_FRICTION = 0.02
 DEMANDS = (
-    Demand("outcome"),
-    Demand("slip_strain", 0.006, relative=False),
-    Demand("flat_strain", 0.006, relative=False),
+    specimen.Demand("outcome"),
+    specimen.Demand("slip_strain", 0.006, relative=False),
+    specimen.Demand("flat_strain", 0.006, relative=False),
 )
 LARGEST_GAMMA = 3.0e3
 GRAVITY_LENGTH_RANGE_M = (LENGTH_M / LARGEST_GAMMA ** (1 / 3), LENGTH_M)
@@ -116,7 +105,7 @@ def landed_strip_theory(gamma: float) -> StripState:
     ``load_ratio`` is the friction coefficient that parts slipping from folding. Γ = w L³/B is
     between 0 and 3000.
     """
-    gamma = require("gamma", gamma, 0.0, LARGEST_GAMMA)
+    gamma = specimen.require("gamma", gamma, 0.0, LARGEST_GAMMA)
     return _state(FLAT_FOOT_RAD, _flat_foot(gamma))
 
 
@@ -125,7 +114,7 @@ def landed_strip_slip_strain(friction: float, gamma: float) -> float | None:
 
     The friction coefficient is at least 0.02, Γ as for `landed_strip_theory`.
     """
-    friction = require("friction", friction, SMALLEST_FRICTION)
+    friction = specimen.require("friction", friction, SMALLEST_FRICTION)
     flat = landed_strip_theory(gamma)
     if friction > flat.load_ratio:
         return None
@@ -155,17 +144,10 @@ def landed_strip(
 ) -> dict[str, Any]:
     """Lower a strip that hangs straight down, its foot at the floor, until it slips or lies flat.
 
-    Kept cylindrical: rigidity ke/4. The gravity length is (B/w)^(1/3), of bending rigidity and
-    weight per area; `vertices` are the rows along the strip.
-
-    Returns
-    -------
-    dict
-        ``outcome``, ``slips`` or ``folds`` (``stands`` if neither); ``slip_strain`` or
-        ``flat_strain``, the descent since the foot touched, over the length, at which it did
-        (else None), each also as ``theory_…``; ``foot_moved_m``, in the end, a centimetre lower;
-        ``gamma``, (length over gravity length)^3; ``theory_threshold_friction``, which parts
-        slipping from folding.
+    The gravity length is (B/w)^(1/3), of bending rigidity and weight per area; `vertices` are the
+    rows along the strip. Return ``outcome`` (slips, folds or stands), ``slip_strain`` or
+    ``flat_strain``, the descent since the foot touched, over the length, each also as ``theory_…``;
+    ``foot_moved_m``, a centimetre lower; ``gamma`` and ``theory_threshold_friction``.
     """
     gamma = (LENGTH_M / gravity_length_m) ** 3
     flat = landed_strip_theory(gamma)
@@ -183,7 +165,7 @@ def landed_strip(
 
 def _lower(settings, friction, gravity_length_m, vertices, largest_strain) -> dict[str, Any]:
     solver, start_m = _hanging(settings, friction, gravity_length_m, vertices)
-    step_s, clamp = settings.time_step_s, carried(start_m, 0.0, 0.0, -SPEED_M_S)
+    step_s, clamp = settings.time_step_s, specimen.carried(start_m, 0.0, 0.0, -SPEED_M_S)
     slip_strain = flat_strain = None
     end_s = largest_strain * LENGTH_M / SPEED_M_S
     while solver.time_s < end_s:
@@ -208,13 +190,13 @@ def _lower(settings, friction, gravity_length_m, vertices, largest_strain) -> di
 
 
 def _hanging(settings, friction, gravity_length_m, vertices) -> tuple[ClothSolver, np.ndarray]:
-    mesh, spacing_m = clamped_strip(vertices, LENGTH_M)
+    mesh, spacing_m = specimen.clamped_strip(vertices, LENGTH_M)
     across, down = mesh.rest_uv_m.T
     start_m = np.column_stack([0 * down, across, down[-1] - down])
-    rigidity_Nm = AREAL_DENSITY_KG_M2 * GRAVITY_M_S2 * gravity_length_m**3
+    rigidity_Nm = specimen.AREAL_DENSITY_KG_M2 * GRAVITY_M_S2 * gravity_length_m**3
     # What the foot bears is the weight of about one and a half gravity lengths.
-    foot_N = AREAL_DENSITY_KG_M2 * GRAVITY_M_S2 * gravity_length_m * spacing_m
-    tables = cylindrical_strip_tables(12 * rigidity_Nm / THICKNESS_M**2, rigidity_Nm)
+    foot_N = specimen.AREAL_DENSITY_KG_M2 * GRAVITY_M_S2 * gravity_length_m * spacing_m
+    tables = specimen.cylindrical_strip_tables(12 * rigidity_Nm / THICKNESS_M**2, rigidity_Nm)
     tables = replace(tables, rest_curvature_per_m=CURL_PER_M)
-    conditions, fixed = Conditions(nodal_force_N=foot_N), held(mesh, 2)
-    return started(settings, mesh, tables, start_m, fixed, friction, conditions), start_m
+    conditions, fixed = Conditions(nodal_force_N=foot_N), specimen.held(mesh, 2)
+    return specimen.started(settings, mesh, tables, start_m, fixed, friction, conditions), start_m

@@ -5,8 +5,6 @@ four times as much as one (the diagonals bear it). So theory gets the strip's ow
 measured on the same mesh: bending from a small sag, torsion from a small twist.
 """
 
-from __future__ import annotations
-
 from math import sqrt
 from typing import Any
 
@@ -15,21 +13,14 @@ import numpy as np
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.cloth import ClothSolver, Conditions, rectangle
-from slipstitch.physics.experiments.specimen import (
-    AREAL_DENSITY_KG_M2,
-    Demand,
-    Motion,
-    bring_to_rest,
-    held,
-    started,
-)
+from slipstitch.physics.experiments import specimen
 from slipstitch.physics.fabric import isotropic_tables
 
 LENGTH_M = 0.20
 COLUMNS = 5
 WIDTH_OVER_THICKNESS = 20.0  # 40 times as stiff in its plane as in twist
 WEIGHT_GAMMA = 25.0  # of the strip under gravity; other weights by other gravity
-RIGIDITY_NM = AREAL_DENSITY_KG_M2 * GRAVITY_M_S2 * LENGTH_M**3 / WEIGHT_GAMMA
+RIGIDITY_NM = specimen.AREAL_DENSITY_KG_M2 * GRAVITY_M_S2 * LENGTH_M**3 / WEIGHT_GAMMA
 LONG_STEP_S = 10 * sqrt(WEIGHT_GAMMA * LENGTH_M / GRAVITY_M_S2)
 SIDE_PUSH = 1.0e-3  # sideways over vertical weight, what the strip buckles from
 FAR, NEAR = (0.85, 0.95), (0.96, 0.98)  # of the critical weight as known before
@@ -38,7 +29,7 @@ SMALL_TWIST_RAD = 0.02
 WIDTH_RANGE = (0.02, 0.5)  # over the length; theory is for narrow strips
 # First root of J_{-1/6}(x/6) = 0 is x = 12.854: see the test, which solves the eigenproblem.
 NARROW_STRIP = 12.853718
-DEMANDS = (Demand("critical_gamma", 0.05),)
+DEMANDS = (specimen.Demand("critical_gamma", 0.05),)
 
 
 def lateral_buckling_theory(bending: float, torsion: float) -> float:
@@ -56,14 +47,9 @@ def lateral_buckling(settings: SimulationSettings, width_over_length: float) -> 
     """Weight over rigidity at which the strip buckles sideways.
 
     A small sideways weight bends the strip by d, amplified by 1/(1 - (Γ/Γ*)²) as the critical
-    weight comes near: Γ/d falls linearly in Γ² to zero at Γ* (Southwell 1932).
-
-    Returns
-    -------
-    dict
-        ``critical_gamma`` and ``theory_critical_gamma``, areal density x gravity x length^3 over
-        the plate's rigidity ke/4; ``bending_over_plate`` and ``torsion_over_plate``, the strip's
-        rigidities over plate rigidity times width.
+    weight comes near: Γ/d falls linearly in Γ² to zero at Γ* (Southwell 1932). Return
+    ``critical_gamma`` and ``theory_critical_gamma``, areal density x gravity x length^3 over the
+    plate's rigidity ke/4, and the strip's rigidities over the plate's times width.
     """
     solver = _strip(settings, width_over_length, held_ends=1)
     bending = SMALL_GAMMA * LENGTH_M / (8 * _sideways_m(solver, SMALL_GAMMA, 1.0, 0.0))
@@ -97,13 +83,13 @@ def _strip(settings: SimulationSettings, width_over_length: float, held_ends: in
     membrane_N_m = 12 * RIGIDITY_NM * (WIDTH_OVER_THICKNESS / width_m) ** 2
     # Clear of the floor.
     start_m = np.column_stack([down - 0.5 * spacing_m, 0 * across, across - width_m / 2 + LENGTH_M])
-    fixed = held(mesh, 2, cylindrical=False)
+    fixed = specimen.held(mesh, 2, cylindrical=False)
     if held_ends == 2:
         fixed[-2 * COLUMNS :] = True
-    tables = isotropic_tables(AREAL_DENSITY_KG_M2, membrane_N_m, 4 * RIGIDITY_NM)
+    tables = isotropic_tables(specimen.AREAL_DENSITY_KG_M2, membrane_N_m, 4 * RIGIDITY_NM)
     weightless = Conditions(gravity_m_s2=(0.0, 0.0, 0.0))
     floor = 10 * SIDE_PUSH  # out of balance by no more than 0.1 % of the sideways weight
-    return started(
+    return specimen.started(
         settings, mesh, tables, start_m, fixed, conditions=weightless, friction_floor=floor
     )
 
@@ -112,7 +98,7 @@ def _sideways_m(solver: ClothSolver, gamma: float, side: float, down: float) -> 
     """Lateral deflection of the tip's centre at rest; weights sideways and down in units of Γ."""
     gravity_m_s2 = GRAVITY_M_S2 * gamma / WEIGHT_GAMMA
     solver.set_gravity((0.0, side * gravity_m_s2, -down * gravity_m_s2))
-    bring_to_rest(solver, LONG_STEP_S)
+    specimen.bring_to_rest(solver, LONG_STEP_S)
     return float(solver.positions_m[-COLUMNS:, 1].mean())
 
 
@@ -121,7 +107,7 @@ def _torsion(settings: SimulationSettings, width_over_length: float) -> float:
     solver = _strip(settings, width_over_length, held_ends=2)
     start_m = solver.positions_m.copy()
     last = slice(-2 * COLUMNS, None)
-    bring_to_rest(solver, LONG_STEP_S, _turning(start_m, last))
+    specimen.bring_to_rest(solver, LONG_STEP_S, _turning(start_m, last))
     lever_m = solver.positions_m[last] - (0.0, 0.0, LENGTH_M)
     force_N = solver.reactions()[last]
     torque_Nm = (lever_m[:, 1] * force_N[:, 2] - lever_m[:, 2] * force_N[:, 1]).sum()
@@ -134,7 +120,7 @@ def _torsion(settings: SimulationSettings, width_over_length: float) -> float:
     return float(abs(torque_Nm / rate) / (RIGIDITY_NM * width_over_length * LENGTH_M))
 
 
-def _turning(start_m: np.ndarray, end: slice) -> Motion:
+def _turning(start_m: np.ndarray, end: slice) -> specimen.Motion:
     """Turn the held end about the strip's axis over the first step."""
 
     def at(time_s: float) -> np.ndarray:

@@ -1,7 +1,5 @@
 """A square of cloth on a plane: inclined, tilted until it slides, or level and dragged."""
 
-from __future__ import annotations
-
 from math import atan, cos, nextafter, pi, radians, sin, tan
 from typing import Any
 
@@ -10,15 +8,7 @@ import numpy as np
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.cloth import ClothSolver, Conditions, rectangle
-from slipstitch.physics.experiments.specimen import (
-    AREAL_DENSITY_KG_M2,
-    MEMBRANE_STIFFNESS_N_M,
-    Demand,
-    advance_evenly,
-    carried,
-    require,
-    started,
-)
+from slipstitch.physics.experiments import specimen
 from slipstitch.physics.fabric import isotropic_tables
 from slipstitch.physics.friction_law import FrictionLaw
 
@@ -28,9 +18,11 @@ BELOW_UPRIGHT_RAD = nextafter(pi / 2, 0.0)
 TILT_STEPS = 600  # up to the slope at which it should break away
 TILT_BEYOND = 1.2  # times that slope, where the plane stops
 TILT_SLIDES_M = 1.0e-5  # elastic microslip stays below
-INCLINE_DEMANDS = (Demand("acceleration_m_s2", 0.01, zero=2e-4),)  # 0.1 mm in 1 s: it sticks
-TILT_DEMANDS = (Demand("slope_at_slip", 0.005),)
-FLAT_DRAG_DEMANDS = (Demand("pull_over_weight", 0.005),)
+INCLINE_DEMANDS = (
+    specimen.Demand("acceleration_m_s2", 0.01, zero=2e-4),
+)  # 0.1 mm in 1 s: it sticks
+TILT_DEMANDS = (specimen.Demand("slope_at_slip", 0.005),)
+FLAT_DRAG_DEMANDS = (specimen.Demand("pull_over_weight", 0.005),)
 
 
 def incline_theory(friction: float, slope_rad: float) -> float:
@@ -39,8 +31,8 @@ def incline_theory(friction: float, slope_rad: float) -> float:
     Amontons-Coulomb: sticks while tan θ ≤ μ, static and kinetic alike, else slides with
     a = g (sin θ − μ cos θ); 0 ≤ θ < π/2.
     """
-    friction = require("friction", friction, 0.0)
-    slope = require("slope_rad", slope_rad, 0.0, BELOW_UPRIGHT_RAD)
+    friction = specimen.require("friction", friction, 0.0)
+    slope = specimen.require("slope_rad", slope_rad, 0.0, BELOW_UPRIGHT_RAD)
     if tan(slope) <= friction:
         return 0.0
     return GRAVITY_M_S2 * (sin(slope) - friction * cos(slope))
@@ -63,10 +55,12 @@ def _square(
     place = [side_m - down, across] if led else [across, down]
     fixed = np.zeros((mesh.vertex_count, 3), bool)
     fixed[:, 0] = led & (down == 0)
-    tables = isotropic_tables(AREAL_DENSITY_KG_M2, MEMBRANE_STIFFNESS_N_M, HINGE_STIFFNESS_N_M)
+    tables = isotropic_tables(
+        specimen.AREAL_DENSITY_KG_M2, specimen.MEMBRANE_STIFFNESS_N_M, HINGE_STIFFNESS_N_M
+    )
     start_m = np.column_stack([*place, np.zeros(mesh.vertex_count)])
     conditions = Conditions(gravity_m_s2=_gravity_on(slope_rad))
-    solver = started(settings, mesh, tables, start_m, fixed, friction, conditions)
+    solver = specimen.started(settings, mesh, tables, start_m, fixed, friction, conditions)
     weight_N = solver.mass_kg * GRAVITY_M_S2
     solver.positions_m[:, 2] = -weight_N * cos(slope_rad) / solver.contact_stiffness_N_m
     solver.start()
@@ -80,11 +74,7 @@ def _gravity_on(slope_rad: float) -> tuple[float, float, float]:
 def incline(settings: SimulationSettings, friction: float, slope_deg: float) -> dict[str, Any]:
     """A square of cloth on a plane tilted slowly to a slope, for one second from there.
 
-    Returns
-    -------
-    dict
-        ``sticks``, ``creep_m`` (distance moved in 1 s), ``acceleration_m_s2`` (final speed over
-        time), ``theory_acceleration_m_s2``.
+    Return ``sticks``, ``creep_m`` and ``[theory_]acceleration_m_s2``, the final speed over time.
     """
     slope = radians(slope_deg)
     solver = _square(settings, friction, slope)
@@ -92,7 +82,7 @@ def incline(settings: SimulationSettings, friction: float, slope_deg: float) -> 
     weight_N = solver.mass_kg * GRAVITY_M_S2
     borne_N = weight_N * min(sin(slope), friction * cos(slope))
     solver.start(preload_N=np.column_stack([borne_N, 0 * borne_N]))
-    advance_evenly(solver, 1.0, settings.time_step_s)
+    specimen.advance_evenly(solver, 1.0, settings.time_step_s)
     creep_m = float(np.linalg.norm((solver.positions_m[:, :2] - start_m).mean(axis=0)))
     return {
         "sticks": creep_m < CREEP_MAX_M,
@@ -108,12 +98,7 @@ def tilt(
     """A square of cloth on a plane that is tilted slowly from the horizontal until it slides.
 
     The static coefficient exceeds the kinetic one, ``friction``, by ``static_kinetic`` of it.
-
-    Returns
-    -------
-    dict
-        ``slope_at_slip``, the tangent of the slope where it breaks away (None: it does not), and
-        ``theory_slope_at_slip``.
+    Return ``[theory_]slope_at_slip``, the tangent of the slope where it breaks away, or None.
     """
     law = FrictionLaw(friction, {"static_kinetic": {"static_kinetic": static_kinetic}})
     expected = friction * (1 + static_kinetic)
@@ -134,16 +119,11 @@ def flat_drag(settings: SimulationSettings, friction: float) -> dict[str, Any]:
     """A square of cloth lying flat, pulled along the floor by its leading edge.
 
     Every part of the sheet carries its own weight, so that the pull is μ times the whole weight
-    whatever the shape (Amontons 1699).
-
-    Returns
-    -------
-    dict
-        ``pull_over_weight`` and ``theory_pull_over_weight``.
+    whatever the shape (Amontons 1699). Return ``[theory_]pull_over_weight``.
     """
     solver = _square(settings, friction, vertices=11, side_m=0.1, led=True)
-    pulled = carried(solver.positions_m, 0.01, 0.0, 0.0)
-    advance_evenly(solver, 2.0, settings.time_step_s, pulled)
+    pulled = specimen.carried(solver.positions_m, 0.01, 0.0, 0.0)
+    specimen.advance_evenly(solver, 2.0, settings.time_step_s, pulled)
     weight_N = solver.mass_kg.sum() * GRAVITY_M_S2
     return {
         "pull_over_weight": float(solver.reactions()[:, 0].sum() / weight_N),

@@ -1,7 +1,5 @@
 """The experiments by name, and running one with validated options."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field

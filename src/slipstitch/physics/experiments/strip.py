@@ -5,8 +5,6 @@ of rigidity ke/4. The push starts from the buckled strip: pushed straight, a per
 store its load and then be thrown into its buckle, foot and all.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache
@@ -20,16 +18,7 @@ from slipstitch.base.errors import NotConverged
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.cloth import ClothSolver, Conditions
-from slipstitch.physics.experiments.specimen import (
-    AREAL_DENSITY_KG_M2,
-    Demand,
-    carried,
-    clamped_strip,
-    cylindrical_strip_tables,
-    held,
-    require,
-    started,
-)
+from slipstitch.physics.experiments import specimen
 
 LENGTH_M = 0.20
 THICKNESS_M = 1.0e-3
@@ -38,7 +27,7 @@ START_STRAIN = 1.0e-4
 LARGEST_STRAIN = 0.345  # past 0.3303, where the foot lies flat
 LARGEST_GAMMA = 0.3  # above, the weight shifts the friction at slip by more than 0.5 %
 SLIP_M = 1.0e-5  # the foot's elastic microslip stays below
-DEMANDS = (Demand("regime"), Demand("slip_strain", 0.006, relative=False))
+DEMANDS = (specimen.Demand("regime"), specimen.Demand("slip_strain", 0.006, relative=False))
 FLAT_FOOT_RAD = math.pi / 2
 
 
@@ -130,7 +119,7 @@ def strip_state_at_foot_angle(foot_angle_rad: float) -> StripState:
     The angle of the foot's tangent from the vertical is 0.001 to π/2, where the foot lies flat,
     and the hinge stops being one.
     """
-    angle = require("foot_angle_rad", foot_angle_rad, 1e-3, FLAT_FOOT_RAD)
+    angle = specimen.require("foot_angle_rad", foot_angle_rad, 1e-3, FLAT_FOOT_RAD)
     angles, states = _branch()
     guess = np.array([np.interp(angle, angles, column) for column in states.T])
     if angle < angles[0]:
@@ -156,7 +145,7 @@ def strip_state(strain: float) -> StripState:
     ``load_ratio`` is the friction it needs to hold.
     """
     flat = strip_state_at_foot_angle(FLAT_FOOT_RAD)
-    strain = require("strain", strain, 1e-6, flat.strain)
+    strain = specimen.require("strain", strain, 1e-6, flat.strain)
     if strain == flat.strain:
         return flat
     return _at(lambda state: state.strain, strain)
@@ -169,7 +158,7 @@ def strip_slip_strain(friction: float) -> float | None:
     |Q|/P grows with the strain; the foot slips where it reaches μ. At ε = 0.3303, |Q|/P = 0.3564
     the foot lies flat: with more friction the strip never slips as a whole (Sano et al. 2017).
     """
-    friction = require("friction", friction, 0.0)
+    friction = specimen.require("friction", friction, 0.0)
     smallest = strip_state_at_foot_angle(1e-3)
     if friction <= smallest.load_ratio:
         # Close to buckling the ratio grows with the root of the strain.
@@ -189,16 +178,10 @@ def strip(
     """A 20 cm strip pushed on the floor until its foot slips or lies flat.
 
     ``vertices`` are the rows along the strip, ``gamma`` is weight over rigidity, areal density x
-    gravity x length^3 / B, and ``strain`` how far it is pushed, over its length.
-
-    Returns
-    -------
-    dict
-        ``slip_strain`` (None if it never slips as a whole), ``regime``, ``friction_at_slip``
-        (|Q|/P in the simulator when the foot slips), ``friction_read_from_strain`` (which
-        friction theory reads off the slip strain), ``theory_slip_strain``, ``theory_regime``,
-        ``flat_strain``; and what pictures need: ``strain`` and ``load_ratio`` of each step,
-        ``shape_m`` at ``shape_strain``, ``newton_iterations``.
+    gravity x length^3 / B, and ``strain`` how far it is pushed, over its length. Return
+    ``[theory_]slip_strain`` (None if it never slips as a whole), ``[theory_]regime``,
+    ``friction_at_slip`` (|Q|/P), ``friction_read_from_strain`` (by theory), ``flat_strain``;
+    ``strain`` and ``load_ratio`` of each step, ``shape_m`` at ``shape_strain``, iterations.
     """
     push = _push(settings, friction, int(vertices), gamma, strain)
     slip_strain = push["slip_strain"]
@@ -232,12 +215,12 @@ def _push(
 ) -> dict[str, Any]:
     """Push until the foot slips, lies flat, or the strain is reached.
 
-    The slip strain is where |Q|/P, extrapolated, reaches the friction coefficient within the step
-    in which the foot moved; the flat strain is the middle of the step in which it came to lie flat.
+    It slips where |Q|/P, extrapolated, reaches the friction coefficient in the step in which the
+    foot moved, and lies flat in the middle of that step.
     """
     solver, start_m = _buckled_strip(settings, friction, vertices, gamma)
     step_s = settings.time_step_s
-    foot, clamp = slice(-2, None), carried(start_m, 0.0, 0.0, -SPEED_M_S)
+    foot, clamp = slice(-2, None), specimen.carried(start_m, 0.0, 0.0, -SPEED_M_S)
     strains: list[float] = []
     ratios: list[float] = []
     slip_strain = flat_strain = None
@@ -290,9 +273,9 @@ def _buckled_strip(
     settings: SimulationSettings, friction: float, vertices: int, gamma: float
 ) -> tuple[ClothSolver, np.ndarray]:
     """The strip in its buckling mode at the strain it starts from, loads in balance."""
-    mesh, spacing_m = clamped_strip(vertices, LENGTH_M)
+    mesh, spacing_m = specimen.clamped_strip(vertices, LENGTH_M)
     # Without weight as light as a strip of the largest gamma, so that inertia is nothing.
-    weight_N_m2 = AREAL_DENSITY_KG_M2 * GRAVITY_M_S2
+    weight_N_m2 = specimen.AREAL_DENSITY_KG_M2 * GRAVITY_M_S2
     rigidity_Nm = weight_N_m2 * LENGTH_M**3 / (gamma or LARGEST_GAMMA)
     wave = np.sqrt(strip_buckling_load())
     push_N = wave**2 * rigidity_Nm * spacing_m / LENGTH_M**2
@@ -304,7 +287,9 @@ def _buckled_strip(
     start_m = np.column_stack(
         [np.repeat(sideways, 2), mesh.rest_uv_m[:, 0], np.repeat(down[-1] - down, 2)]
     )
-    tables = cylindrical_strip_tables(12 * rigidity_Nm / THICKNESS_M**2, rigidity_Nm)
+    tables = specimen.cylindrical_strip_tables(12 * rigidity_Nm / THICKNESS_M**2, rigidity_Nm)
     gravity_m_s2 = (0.0, 0.0, -GRAVITY_M_S2 if gamma else 0.0)
     conditions = Conditions(gravity_m_s2=gravity_m_s2, nodal_force_N=push_N / 2)
-    return started(settings, mesh, tables, start_m, held(mesh, 2), friction, conditions), start_m
+    return specimen.started(
+        settings, mesh, tables, start_m, specimen.held(mesh, 2), friction, conditions
+    ), start_m

@@ -5,8 +5,6 @@ back with μ N. Weight per length is w, bending rigidity B (of the strip's whole
 gravity length (B/w)^(1/3). Loads are given over w, as lengths.
 """
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from functools import lru_cache
@@ -82,7 +80,7 @@ class _Elastica:
     """The hanging part as a boundary value problem, lengths in units of the gravity length.
 
     With s from the touchdown (or the end that touches), tension T = μ N in the drag direction and
-    R the point load of the floor at s = 0, moment balance is θ'' = T sin θ − (s − R) cos θ.
+    R the floor's point load at s = 0, moment balance is θ'' = T sin θ − (s − R) cos θ.
     """
 
     friction: float
@@ -142,19 +140,10 @@ def steady_strip_drag(
     Above the touchdown the strip is a heavy elastica, B θ'' = T sin θ − (w s − R) cos θ, with θ
     from the horizontal and s from the touchdown. At the touchdown θ = θ' = 0 (no adhesion), and
     the floor gives a point load R, because the flat tail carries no shear. Tension there is
-    T = μ (w c + R). The holder is hinged (θ' = 0) or clamps the strip at a given angle. If no
-    tail lies flat, the end alone touches: θ' = 0 there, θ ≥ 0 free, T = μ R. Solved as a boundary
-    value problem by collocation (SciPy's ``solve_bvp``), continued from the flexible strip.
-
-    Parameters
-    ----------
-    gravity_length_m : float
-        (B/w)^(1/3) (m): 0 for a flexible strip, at most the strip's length.
-    holder_angle_rad : float or None
-        Angle above the horizontal at which the holder clamps the strip (rad). π/2 for a strip that
-        leaves its clamp straight down; None for a hinge, as a single row of pinned vertices is. At
-        a gravity length of 2 cm the hinge holds the end 1 mm further ahead; the pull hardly
-        differs.
+    T = μ (w c + R). The holder clamps the strip at an angle above the horizontal, π/2 straight
+    down, or is a hinge (None; θ' = 0), as a single row of pinned vertices is. If no tail lies flat,
+    the end alone touches: θ' = 0 there, θ ≥ 0 free, T = μ R. Solved by collocation, continued from
+    the flexible strip. The gravity length (B/w)^(1/3) is 0 ... the strip's length.
     """
     flexible = flexible_strip_drag(friction, length_m, height_m)
     unit = require("gravity_length_m", gravity_length_m, 0.0, length_m)
@@ -209,15 +198,9 @@ def strip_drag(
 ) -> dict[str, Any]:
     """A strip hinged at a holder above the floor, dragged until its shape is steady.
 
-    Kept cylindrical, so that the plate rigidity is a quarter of the hinges' stiffness. As many
-    vertices along it as along a side of the simulated cloth. The gravity length is (B/w)^(1/3),
-    of bending rigidity and weight per area.
-
-    Returns
-    -------
-    dict
-        ``pull_over_w_m``, ``floor_load_over_w_m``, ``flat_tail_m``,
-        ``holder_ahead_of_tail_m``, each also as ``theory_...``; w is the weight per length.
+    It has as many vertices as a side of the simulated cloth; the gravity length is (B/w)^(1/3), of
+    bending rigidity and weight per area. Return ``pull_over_w_m``, ``floor_load_over_w_m``,
+    ``flat_tail_m`` and ``holder_ahead_of_tail_m``, each also as ``theory_...``.
     """
     rows = settings.vertices_per_side
     spacing_m = LENGTH_M / (rows - 1)

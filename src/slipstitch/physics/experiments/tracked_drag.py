@@ -5,8 +5,6 @@ tension; then the holder moves. Kept cylindrical: the planar protocol (d) of
 docs/criticise-your-data.md.
 """
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from math import ceil, pi, sin, sqrt, tan
 

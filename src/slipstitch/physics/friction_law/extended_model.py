@@ -1,7 +1,5 @@
 """The extended model of a verdict, as read by the simulations."""
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Mapping

@@ -1,7 +1,5 @@
 """The friction law as an object: Coulomb friction, mechanisms beside it, a tabulated factor."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
@@ -28,8 +26,7 @@ CURVE_QUANTITIES: Mapping[str, float | None] = MappingProxyType(
 class Curve:
     """Factor on the friction force: knots of a quantity and factors there.
 
-    Between knots the factor's logarithm is linear in the quantity (in its logarithm, for speed and
-    load), beyond them constant. A factor along the speed acts in motion only.
+    Its logarithm is linear between knots (in the logarithm of speed and load), constant beyond.
     """
 
     quantity: str
@@ -118,11 +115,7 @@ class FrictionLaw:
         )
 
     def force_limit(self, contact: Contact, static: bool) -> np.ndarray:
-        """Friction force at which the contact slips (static) or with which it slides (kinetic).
-
-        In N (N/m if the loads are per width), shape of the contact's fields broadcast together;
-        never negative.
-        """
+        """Friction force (N) at which the contact slips (static) or with which it slides."""
         force = self.coefficient * np.asarray(contact.normal_force_N, dtype=float)
         added = 0.0
         for identifier, values in self.mechanisms.items():
@@ -136,11 +129,7 @@ class FrictionLaw:
         return np.maximum(force + added, 0.0)
 
     def parameter_values(self) -> np.ndarray:
-        """Every parameter of every mechanism there is, those that are absent at their null.
-
-        In the order of ``CONTACT_MECHANISMS`` and of their parameters, then :meth:`Curve.values`,
-        zeros without a curve.
-        """
+        """Every parameter of ``CONTACT_MECHANISMS``, absent ones at their null; then the curve."""
         own = [
             self.mechanisms.get(identifier, {}).get(parameter.name, parameter.null)
             for identifier, mechanism in CONTACT_MECHANISMS.items()
@@ -154,6 +143,6 @@ class FrictionLaw:
         return {"coefficient": self.coefficient, "mechanisms": mechanisms}
 
     @classmethod
-    def from_dict(cls, data: Mapping) -> FrictionLaw:
+    def from_dict(cls, data: Mapping) -> "FrictionLaw":
         """The law that ``to_dict`` wrote."""
         return cls(float(data["coefficient"]), dict(data.get("mechanisms", {})))

@@ -4,8 +4,6 @@ Protocols and fits evaluate the formulas of `CONTACT_MECHANISMS` with NumPy; the
 the same in Warp (:mod:`slipstitch.physics.cloth.friction`), and a test holds both together.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, field, replace
 from functools import cache
@@ -46,7 +44,7 @@ class Contact:
     place_m: ArrayLike = np.nan  # on the substrate, along the track
     edge: bool = False  # the contact is the edge of a sheet (strip), not its face
 
-    def with_load(self, normal_force_N: ArrayLike, area_m2: ArrayLike | None = None) -> Contact:
+    def with_load(self, normal_force_N: ArrayLike, area_m2: ArrayLike | None = None) -> "Contact":
         """The same contact under another load (and on another area, if given)."""
         area = self.area_m2 if area_m2 is None else area_m2
         return replace(self, normal_force_N=normal_force_N, area_m2=area)

@@ -1,7 +1,5 @@
 """Results of the convergence study for runs similar to a given one, for its metadata."""
 
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Mapping, Sequence
@@ -75,12 +73,10 @@ def study_digest(measured: Path = MEASURED) -> str | None:
 def measured_convergence(
     material: str, friction: float, settings: SimulationSettings, measured: Path = MEASURED
 ) -> dict[str, Any] | None:
-    """What is known of a run: of its own fabric, at its coefficient or those on either side.
+    """What is known of a run's fabric, at its coefficient or those on either side.
 
-    ``table_sha256`` (of the summary: a newer one may say something else), ``studied`` (time_step_s,
-    window_s, mean_distance_m), ``differ`` (the settings for which it does not speak), ``cases``
-    (what was found, see `study.summary`), ``verdict`` (the worse of them; None: not known) and
-    ``note`` in words. None without a study.
+    That is ``table_sha256`` of the summary, ``studied``, ``differ`` (settings for which it does not
+    speak), ``cases`` (see `study.summary`), ``verdict`` (the worse of them, or None) and ``note``.
     """
     study = read_study(measured)
     if study is None:

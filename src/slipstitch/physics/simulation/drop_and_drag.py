@@ -1,7 +1,5 @@
 """Drop-and-drag: a square of fabric hung by its corners, lowered, dragged back and forth."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from functools import partial
@@ -14,15 +12,7 @@ from slipstitch.base.progress import progress
 from slipstitch.config.section import FRICTION_MAX
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.design.stage_path import SIDE_M, TAB_M, StagePath
-from slipstitch.physics import GRAVITY_M_S2
-from slipstitch.physics.cloth import (
-    ClothMesh,
-    ClothSolver,
-    Conditions,
-    SolverSettings,
-    StepRecord,
-    rectangle,
-)
+from slipstitch.physics import GRAVITY_M_S2, cloth
 from slipstitch.physics.fabric import ElasticTables, fabric_digest, load_fabric
 from slipstitch.physics.friction_law import FrictionLaw
 from slipstitch.physics.friction_law.extended_model import ExtendedModel, read_extended_model
@@ -86,28 +76,23 @@ def simulate_drop_and_drag(
 ) -> Recorded:
     """Simulate one run, with the motion of the clamps in the settings or another, on a Warp device.
 
-    Returns
-    -------
-    trajectory : Trajectory
-        Positions rounded to a micrometre, as files hold them.
-    columns : dict
-        ``newton_iterations`` (T,) and ``residual`` (T,) since the frame before: the sum, and
-        the largest relative out-of-balance force of an accepted step.
+    Return the trajectory, rounded as files hold it, and as columns the ``newton_iterations`` (T,)
+    since the frame before and the largest ``residual`` (T,) of an accepted step.
     """
     path = path or StagePath(**dict(settings.stage))
     with progress(unit="frame", total=settings.frames) as bar:
         return _Bench(run, settings, path, device).record(bar.update)
 
 
-def cloth_mesh(settings: SimulationSettings) -> tuple[ClothMesh, np.ndarray]:
+def cloth_mesh(settings: SimulationSettings) -> tuple[cloth.ClothMesh, np.ndarray]:
     """Mesh of the cloth, and the numbers of the vertices that the clamps hold."""
-    mesh = rectangle(settings.vertices_per_side, settings.vertices_per_side, SIDE_M, SIDE_M)
+    mesh = cloth.rectangle(settings.vertices_per_side, settings.vertices_per_side, SIDE_M, SIDE_M)
     across, down = mesh.rest_uv_m.T
     inner = TAB_M + 1e-9 if settings.pins == "tabs" else 1e-9
     return mesh, np.flatnonzero((down == 0) & ((across <= inner) | (across >= SIDE_M - inner)))
 
 
-def described_mesh(mesh: ClothMesh, pinned: np.ndarray) -> dict[str, np.ndarray]:
+def described_mesh(mesh: cloth.ClothMesh, pinned: np.ndarray) -> dict[str, np.ndarray]:
     """A mesh as a trajectory describes it."""
     across, down = mesh.rest_uv_m.T
     return {
@@ -121,25 +106,21 @@ def described_mesh(mesh: ClothMesh, pinned: np.ndarray) -> dict[str, np.ndarray]
 class Landing:
     """Check of the steps while the cloth lands: does it buckle to the side of finer steps?
 
-    Cloth that touches down buckles, to one side or the other, and a step may have a solution on
-    either: a step that is nearly too long takes the wrong one without its error telling. So every
-    step of the landing is repeated in two halves by a second solver, and must go the same way. No
-    long step is taken then.
-
-    ``new_solver`` makes another solver of the same cloth; ``clamps`` gives positions (V, 3) at a
-    time, of which those of the held vertices count, in m.
+    A step may have a solution on either side, and one that is nearly too long takes the wrong one
+    without its error telling. So every step of the landing is repeated in two halves by a second
+    solver of the same cloth, and must go the same way. No long step is taken then.
     """
 
     def __init__(
         self,
-        solver: ClothSolver,
-        new_solver: Callable[[], ClothSolver],
+        solver: cloth.ClothSolver,
+        new_solver: Callable[[], cloth.ClothSolver],
         clamps: Callable[[float], np.ndarray],
         settings: SimulationSettings,
     ):
         self._solver, self._clamps, self._settings = solver, clamps, settings
         self._new_solver = new_solver
-        self._finer: ClothSolver | None = None
+        self._finer: cloth.ClothSolver | None = None
         self._touched_s = np.inf
 
     def confirms(self, end_m: np.ndarray, step_s: float) -> bool:
@@ -172,9 +153,8 @@ class Landing:
     def _same_way(self, end_m: np.ndarray, finer_m: np.ndarray) -> bool:
         """Whether the ways of all vertices along x, as two vectors, do not point apart.
 
-        Over the landing those of the paper's settings and of steps a quarter as long have cosines
-        from 0.68 up in all fabrics at three coefficients. So less than 0, opposite ways, is another
-        side, unless both ways agree within the error that a step may have.
+        With steps a quarter as long, cosines were from 0.68 up in all fabrics: less than 0 is
+        another side, unless both ways agree within the error that a step may have.
         """
         start_m = self._solver.positions_m[:, 0]
         way_m, finer_way_m = end_m[:, 0] - start_m, finer_m[:, 0] - start_m
@@ -212,14 +192,16 @@ class _Bench:
         )
         hung_m[:, 2] += perturbation.height_m
         new_solver = partial(
-            ClothSolver,
+            cloth.ClothSolver,
             mesh,
             replace(tables, rest_curvature_per_m=perturbation.natural_curl_per_m),
             hung_m,
             friction=model.law_at(run.friction),
             fixed=fixed,
-            settings=replace(SolverSettings.of(settings.of_fabric(run.material)), device=device),
-            conditions=Conditions(
+            settings=replace(
+                cloth.SolverSettings.of(settings.of_fabric(run.material)), device=device
+            ),
+            conditions=cloth.Conditions(
                 gravity_m_s2=model.gravity_m_s2(GRAVITY_M_S2),
                 warp_angle_rad=0.0 if settings.warp == "u" else pi / 2,
             ),
@@ -239,7 +221,7 @@ class _Bench:
         per_frame = settings.steps_a_frame
         for _ in self._march(-settings.settle_steps, 0):
             pass
-        totals, solver.record = solver.record, StepRecord()
+        totals, solver.record = solver.record, cloth.StepRecord()
         times_s = np.arange(settings.frames) / settings.frame_rate_hz
         positions = np.empty((settings.frames, self.mesh.vertex_count, 3), dtype=np.float32)
         iterations = np.zeros(settings.frames, dtype=np.int32)
@@ -248,7 +230,7 @@ class _Bench:
         iterations[0], residuals[0] = totals.newton_iterations, totals.largest_residual
         frame_done()
         for begun, ended, start_m in self._march(0, settings.recorded_steps):
-            record, solver.record = solver.record, StepRecord()
+            record, solver.record = solver.record, cloth.StepRecord()
             totals.add(record)
             # The frames that the step belongs to; all but perhaps the last are reached.
             frames = range(begun // per_frame + 1, ceil(ended / per_frame) + 1)
@@ -263,9 +245,9 @@ class _Bench:
         return trajectory, {"newton_iterations": iterations, "residual": residuals}
 
     def _march(self, first: int, last: int) -> Iterator[tuple[int, int, np.ndarray]]:
-        """Advance from one number of time steps to another, by several at once where it is steady.
+        """Advance by time steps, several at once where it is steady.
 
-        Yields the numbers of time steps before and after, and the positions (V, 3) before.
+        Yield their numbers before and after, and the positions (V, 3) before.
         """
         solver, step_s = self.solver, self.settings.step_used_s
         at_once = self.settings.steps_at_once
@@ -282,7 +264,7 @@ class _Bench:
             first += steps
         solver.time_s = last * step_s
 
-    def _trajectory(self, times_s, positions_m, totals: StepRecord) -> Trajectory:
+    def _trajectory(self, times_s, positions_m, totals: cloth.StepRecord) -> Trajectory:
         run, settings = self.run, self.settings
         stage_x_m, stage_z_m = self.path.position_m(times_s)
         return Trajectory(

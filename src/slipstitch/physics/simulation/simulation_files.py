@@ -5,8 +5,6 @@ coefficient, seed and settings are those of the run. A file that claims to be th
 refused; what no file claims to be is simulated.
 """
 
-from __future__ import annotations
-
 import json
 import os
 from collections.abc import Iterator, Mapping
@@ -16,18 +14,11 @@ from typing import Any
 
 import numpy as np
 
+from slipstitch.base import provenance
 from slipstitch.base.errors import BadInput, NotConverged
-from slipstitch.base.provenance import (
-    atomic_path,
-    file_digest,
-    open_parquet,
-    provenance_record,
-    read_metadata,
-    start_clock,
-)
 from slipstitch.base.provenance.record import DIGEST_KEY
 from slipstitch.config import Config
-from slipstitch.config.former import FormerKeyError, without_former_keys
+from slipstitch.config.section import FormerKeyError, without_former_keys
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.design.grid import find_simulation
 from slipstitch.physics.friction_law.extended_model import read_extended_model
@@ -64,21 +55,13 @@ def simulate_to_file(
     calibration: str | os.PathLike | None = None,
     handed_out: str | os.PathLike | None = None,
 ) -> tuple[Trajectory, dict]:
-    """Simulate a run, or take it from those handed out; write it.
+    """Simulate a run, or take it from those handed out; write it, or the state that is unsolved.
 
-    Of a run that cannot be solved the state is written.
-
-    Parameters
-    ----------
-    ids : dict
-        What `run_of_the_grid` says of the run, or an empty mapping.
-    device, handed_out : optional
-        Instead of the configured ones.
-    calibration : path, optional
-        The file that settings were taken from, for the record, which is returned with the run; it
-        says under ``handed_out`` where the run was taken from, if it was.
+    Ids are what `run_of_the_grid` says, or empty; device and folder go before the configured ones.
+    Return the run and its record, which names the calibration that settings were taken from, and
+    under ``handed_out`` where the run was taken from, if it was.
     """
-    started = start_clock()
+    started = provenance.start_clock()
     settings = config.simulation
     folder = handed_out or config.compute.handed_out
     taken = take_handed_out(folder, run, ids, settings) if folder else None
@@ -92,7 +75,7 @@ def simulate_to_file(
         except NotConverged as error:
             raise _with_state_saved(error, path) from None
         trajectory.metadata.update(ids)
-    record = provenance_record(
+    record = provenance.provenance_record(
         "simulate",
         inputs=[file for file in (calibration, settings.model) if file],
         config={"simulation": settings, "catalogue": run.catalogue_entries()},
@@ -110,7 +93,7 @@ def _with_state_saved(error: NotConverged, out: str | os.PathLike) -> NotConverg
     if not error.state:
         return error
     path = Path(out).with_suffix(".failed.npz")
-    with atomic_path(path) as partial, open(partial, "wb") as stream:
+    with provenance.atomic_path(path) as partial, open(partial, "wb") as stream:
         np.savez_compressed(stream, **error.state)
     return NotConverged(f"{error}; its state was saved to {path}")
 
@@ -120,9 +103,8 @@ def take_handed_out(
 ) -> tuple[Trajectory, dict[str, np.ndarray], dict[str, Any]] | None:
     """Read a run from a folder of simulations or from a release; None if no file claims to be it.
 
-    BadInput if two files do, or the one that does is damaged or of other settings. Returns what
-    `drop_and_drag.simulate_drop_and_drag` does, and its origin for the record: ``file``, its
-    ``sha256``, and its own ``provenance``.
+    BadInput if two files do, or the one that does is damaged or of other settings. Return the run,
+    its columns, and its origin for the record: ``file``, ``sha256`` and ``provenance``.
     """
     claims = [
         path
@@ -160,18 +142,15 @@ def _simulations(folder: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
     if not paths:
         raise BadInput(f"{folder}: has no simulations (*.parquet)")
     for path in paths:
-        with open_parquet(path) as file:
-            metadata = read_metadata(file.schema_arrow)
+        with provenance.open_parquet(path) as file:
+            metadata = provenance.read_metadata(file.schema_arrow)
         if "material" in metadata and "friction" in metadata:
             yield path, metadata
 
 
 def _checked_digest(path: Path) -> str:
-    """SHA-256 of a file, which must be the one that is listed beside it or above.
-
-    A file whose pages carry checksums, as Slipstitch writes them, needs no list.
-    """
-    digest = file_digest(path)
+    """SHA-256 of a file, as listed beside or above, unless its own pages carry checksums."""
+    digest = provenance.file_digest(path)
     for folder in (path.parent, path.parent.parent):
         listed = folder / CHECKSUMS
         if not listed.is_file():
@@ -183,7 +162,7 @@ def _checked_digest(path: Path) -> str:
             if known[name] != digest:
                 raise BadInput(f"{path}: damaged: its SHA-256 is not the one in {listed.name}")
             return digest
-    with open_parquet(path) as file:
+    with provenance.open_parquet(path) as file:
         if DIGEST_KEY not in (file.schema_arrow.metadata or {}):
             raise BadInput(f"{path}: cannot be checked: no {CHECKSUMS} beside lists it")
     return digest

@@ -190,27 +190,19 @@ def _mesh_of(path: str | os.PathLike, metadata: dict, vertices: int) -> dict:
     if not beside.is_file():
         raise BadInput(f"{path}: not a trajectory: no 'mesh' in its metadata, no mesh.json beside")
     content = read_json(beside)
-    kinds = _mesh_layout(1, 1)
-    mesh = {name: np.array(content[name], kinds[name].base) for name in MESH}
-    if len(mesh["rest_positions_m"]) != vertices:
+    if (count := len(content["rest_positions_m"])) != vertices:
         raise BadInput(
-            f"{path}: {vertices} vertices, but {beside.name} beside has another mesh, of "
-            f"{len(mesh['rest_positions_m'])}"
+            f"{path}: {vertices} vertices, but {beside.name} beside has another mesh, of {count}"
         )
+    layout = _mesh_layout(vertices, len(content["faces"]))
+    mesh = {name: np.array(content[name], layout[name].base) for name in MESH}
+    mesh = {name: array.reshape(layout[name].shape) for name, array in mesh.items()}
     return mesh | {"pinned": content["pinned"]}
 
 
 def _check(path, mesh: dict, vertices: int, positions: np.ndarray, values: dict) -> None:
     faces = mesh["faces"]
-    shapes = {
-        "rest_positions_m": (vertices, 3),
-        "uv": (vertices, 2),
-        "faces": (*faces.shape[:1], 3),
-    }
-    for name, shape in shapes.items():
-        if mesh[name].shape != shape or not faces.size:
-            raise BadInput(f"{path}: {name} has shape {mesh[name].shape}; must be {shape}")
-    if faces.min() < 0 or faces.max() >= vertices:
+    if not faces.size or faces.min() < 0 or faces.max() >= vertices:
         raise BadInput(f"{path}: faces refer to vertices outside 0 ... {vertices - 1}")
     if not len(positions):
         raise BadInput(f"{path}: contains no frames")
