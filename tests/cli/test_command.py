@@ -13,7 +13,8 @@ import pytest
 
 import slipstitch.cli.main as command
 from slipstitch.base.errors import BadInput, NotConverged
-from slipstitch.cli import options, project
+from slipstitch.cli import calibrate, learning, options, project
+from slipstitch.config import simulation, train
 from slipstitch.report.cost import SAID_CPU_TIME
 
 ROOT = Path(__file__).parents[2]
@@ -125,6 +126,13 @@ def test_only_the_command_line_knows_of_options_and_nothing_depends_on_it():
             r"(import (argparse|click)|(from|import) slipstitch\.cli)", source.read_text()
         )
         assert found is None, name
+
+
+def test_names_to_choose_from_are_those_of_the_configuration():
+    assert tuple(learning.SPLIT.choices) == train.TRAINED_ON
+    assert tuple(learning.NETWORK.choices) == train.NETWORKS
+    assert tuple(learning.QUESTION.choices) == train.QUESTIONS
+    assert calibrate.SWEPT.split() == [simulation.BASE, *simulation.KEYS]
 
 
 def test_overview_imports_nothing_heavy():

@@ -256,6 +256,6 @@ def test_the_machine_refusing_is_one_line(tmp_path):
         [sys.executable, "-c", code, *words], capture_output=True, text=True, cwd=tmp_path
     )
     assert answer.returncode == 1
-    assert "the file would exceed the size limit" in answer.stderr.splitlines()[-1]
+    assert "file too large" in answer.stderr.splitlines()[-1]
     assert "Traceback" not in answer.stderr
     assert os.listdir(tmp_path) == []

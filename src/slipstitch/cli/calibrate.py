@@ -9,50 +9,36 @@ import click
 from click import argument, option
 
 from slipstitch.base.errors import BadInput
-from slipstitch.cli.checks import flag, refuse
-from slipstitch.cli.options import (
-    Arguments,
-    calibration_file,
-    config_files,
-    configuration,
-    several,
-    switch,
-    verb,
-)
-from slipstitch.cli.parameter_types import FOLDER, JSON, PARQUET, PICTURE, Output
+from slipstitch.cli import options
 
+# `slipstitch.config.simulation.BASE` and `KEYS`
+SWEPT = "base time_step_s vertices friction_tolerance newton_iterations_max damping_s"
 PICTURES = {"checks": "picture", "strip": "strip_picture", "settings": "settings_picture"}
 
 
-@verb(
+@options.verb(
     "choose numerical settings with a pushed strip, and check them against theory",
     "slipstitch calibrate --config config.yaml --out results/calibrate/calibration.json "
     "--picture results/calibrate/calibration.png",
 )
-@config_files(required=False)
-@option("--out", type=JSON, help="JSON file with settings and checks (with --sweep: its runs)")
+@options.config_files(required=False)
+@option("--out", type=options.JSON, help="settings and checks (with --sweep: its runs)")
 @option("--draw", metavar="FILE", help="instead: only draw the plots of this calibration")
-@option(
-    "--sweep",
-    metavar="KEY",
-    help="only sweep one key: base, time_step_s, vertices, friction_tolerance, "
-    "newton_iterations_max or damping_s",
-)
-@several("--sweeps", help="files written by --sweep; run now if omitted")
-@option("--picture", type=PICTURE, help="PNG or SVG: the checks, measurements against theory")
-@option("--strip-picture", type=PICTURE, help="PNG or SVG: slip strain, and shapes of the strip")
-@option("--settings-picture", type=PICTURE, help="PNG or SVG: errors by numerical setting")
-@switch("--only-failures", "draw only if a requirement is not met, as NAME.failed.png")
-def calibrate(arguments: Arguments) -> None:
+@option("--sweep", type=click.Choice(SWEPT.split()), help="only sweep one key")
+@options.several("--sweeps", help="files written by --sweep; run now if omitted")
+@option("--picture", type=options.PICTURE, help="the checks, measurements against theory")
+@option("--strip-picture", type=options.PICTURE, help="slip strain, and shapes of the strip")
+@option("--settings-picture", type=options.PICTURE, help="errors by numerical setting")
+@options.switch("--only-failures", "draw only if a requirement is not met, as NAME.failed.png")
+def calibrate(arguments: options.Arguments) -> None:
     """Sweep, choose and check; print one line per setting and per check."""
-    from slipstitch.config.simulation import BASE, KEYS
     from slipstitch.physics.calibration.calibration import calibrate_to_file
     from slipstitch.physics.calibration.sweep import sweep_to_file
 
     wanted = {name: getattr(arguments, option) for name, option in PICTURES.items()}
     pictures = {name: str(path) for name, path in wanted.items() if path}
     if arguments.draw:
-        refuse(arguments, ("config", "out", "sweep", "sweeps", "only_failures"), "--draw")
+        options.refuse(arguments, ("config", "out", "sweep", "sweeps", "only_failures"), "--draw")
         if not pictures:
             raise BadInput("--draw requires --picture, --strip-picture or --settings-picture")
         from slipstitch.physics.calibration.pictures import draw_again
@@ -63,11 +49,9 @@ def calibrate(arguments: Arguments) -> None:
         raise BadInput("--config and --out are required, or --draw")
     if arguments.only_failures and not pictures:
         raise BadInput("--only-failures requires a picture to draw")
-    config = configuration(arguments)
+    config = options.configuration(arguments)
     if arguments.sweep is not None:
-        if arguments.sweep not in (BASE, *KEYS):
-            raise BadInput(f"--sweep {arguments.sweep}: must be one of {', '.join((BASE, *KEYS))}")
-        refuse(arguments, ("sweeps", *PICTURES.values(), "only_failures"), "--sweep")
+        options.refuse(arguments, ("sweeps", *PICTURES.values(), "only_failures"), "--sweep")
         sweep_to_file(config, arguments.sweep, arguments.out)
         return
 
@@ -130,32 +114,32 @@ OPTIONS = {
 
 def _experiment_options(run: Callable) -> Callable:
     for name, help in reversed(OPTIONS.items()):
-        run = option(flag(name), type=int if name == "vertices" else float, help=help)(run)
+        run = option(options.flag(name), type=int if name == "vertices" else float, help=help)(run)
     return run
 
 
-@verb(
+@options.verb(
     "run a known-answer experiment in the simulator and compare it with theory",
     "slipstitch protocol incline --friction 0.5 --slope-deg 30 --out incline.json",
 )
 @argument("name", metavar="NAME", type=click.Choice(NAMES), help=", ".join(NAMES))
-@option("--out", type=JSON, required=True, help="JSON file with measured and theoretical values")
+@option("--out", type=options.JSON, required=True, help="measured and theoretical values")
 @_experiment_options
 @option("--time-step", type=float, metavar="S", help="time step in s")
-def protocol(arguments: Arguments) -> int:
+def protocol(arguments: options.Arguments) -> int:
     """Run it, write the result, print it; exit code 1 if it does not meet its demands."""
     from slipstitch.config.load import resolve_config
     from slipstitch.physics.experiments.registry import run_protocol_to_file
 
-    options = {name: getattr(arguments, name) for name in OPTIONS}
-    options = {name: value for name, value in options.items() if value is not None}
+    given = {name: getattr(arguments, name) for name in OPTIONS}
+    given = {name: value for name, value in given.items() if value is not None}
     asked = {"time_step_s": arguments.time_step}
     if arguments.name == "strip-drag":  # as many as along a side of the simulated cloth
-        asked["vertices_per_side"] = options.pop("vertices", None)
+        asked["vertices_per_side"] = given.pop("vertices", None)
     overrides = {key: value for key, value in asked.items() if value is not None}
     settings = resolve_config({"simulation": overrides}, sources=("command line",)).simulation
     try:
-        result = run_protocol_to_file(arguments.name, options, settings, arguments.out)
+        result = run_protocol_to_file(arguments.name, given, settings, arguments.out)
     except BadInput as error:
         raise BadInput(_with_flags(str(error))) from None
     # Curves and histories are in the file only.
@@ -168,7 +152,7 @@ def protocol(arguments: Arguments) -> int:
 
 def _with_flags(message: str) -> str:
     """A message with the options called as on the command line."""
-    return re.sub(rf"\b({'|'.join(OPTIONS)})\b", lambda m: flag(m[0]), message)
+    return re.sub(rf"\b({'|'.join(OPTIONS)})\b", lambda m: options.flag(m[0]), message)
 
 
 def _demand_line(key: str, demand: dict) -> str:
@@ -186,41 +170,41 @@ def convergence() -> None:
     """Simulate the cases of the convergence study, compare them, publish the results."""
 
 
-@verb(
+@options.verb(
     "simulate one case",
     "slipstitch convergence run --config config.yaml --case m05_f0300_n41_h2 "
     "--out results/convergence/runs/m05_f0300_n41_h2.parquet",
     parent=convergence,
 )
-@config_files()
-@calibration_file()
+@options.config_files()
+@options.calibration_file()
 @option("--case", required=True, help="id of the case, e.g. m05_f0300_n41_h2")
-@option("--out", type=PARQUET, required=True, help="Parquet file, one row per frame")
-def run(arguments: Arguments) -> None:
+@option("--out", type=options.PARQUET, required=True, help="Parquet file, one row per frame")
+def run(arguments: options.Arguments) -> None:
     """Simulate and write; print the cost."""
     from slipstitch.physics.convergence.cases import simulate_case
 
-    config = configuration(arguments, calibration=arguments.calibration)
+    config = options.configuration(arguments, calibration=arguments.calibration)
     done, cpu_s = simulate_case(config, arguments.case, arguments.out, arguments.calibration)
     print(f"{arguments.out}: {cpu_s:.1f} CPU s, {done.metadata['solver']}")
 
 
-@verb(
+@options.verb(
     "compare the cases that were run",
     "slipstitch convergence compare --config config.yaml --runs results/convergence/runs "
     "--out results/convergence/convergence.json",
     parent=convergence,
 )
-@config_files()
-@calibration_file()
+@options.config_files()
+@options.calibration_file()
 @option("--runs", required=True, help="folder with the files of the cases")
-@option("--out", type=JSON, required=True, help="JSON file")
-@option("--picture", type=Output(".png"), help="PNG file")
-def compare(arguments: Arguments) -> None:
+@option("--out", type=options.JSON, required=True, help="JSON file")
+@option("--picture", type=options.Output(".png"), help="PNG file")
+def compare(arguments: options.Arguments) -> None:
     """Compare and write; print one line per fabric, coefficient and kind of refinement."""
     from slipstitch.physics.convergence.study_files import compare_cases
 
-    config = configuration(arguments, calibration=arguments.calibration)
+    config = options.configuration(arguments, calibration=arguments.calibration)
     study = compare_cases(config, arguments.runs, arguments.out, arguments.picture)
     if study["missing"]:
         print(f"not run, so not compared: {', '.join(study['missing'])}", file=sys.stderr)
@@ -237,14 +221,14 @@ def compare(arguments: Arguments) -> None:
                 )
 
 
-@verb(
+@options.verb(
     "copy a finished study to the published results and its summary to the package",
     "slipstitch convergence publish --study results/convergence/convergence.json",
     parent=convergence,
 )
 @option("--study", default="results/convergence/convergence.json", show_default=True)
-@option("--out", type=FOLDER, default="results/published/convergence", help="folder")
-def publish(arguments: Arguments) -> None:
+@option("--out", type=options.FOLDER, default="results/published/convergence", help="folder")
+def publish(arguments: options.Arguments) -> None:
     """Copy; print where to."""
     from slipstitch.physics.convergence.study_files import publish as publish_study
     from slipstitch.physics.simulation.convergence import MEASURED

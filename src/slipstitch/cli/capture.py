@@ -7,16 +7,7 @@ import click
 from click import argument, option
 
 from slipstitch.base.errors import BadInput
-from slipstitch.cli.checks import exactly_one, flag, refuse, require
-from slipstitch.cli.options import (
-    Arguments,
-    config_files,
-    configuration,
-    example,
-    trained_instrument,
-    verb,
-)
-from slipstitch.cli.parameter_types import FILE, FOLDER, JSON, PICTURE, TABLE, Output
+from slipstitch.cli import options
 
 CAMERA_EXAMPLE = (
     "slipstitch capture camera --squares 10x7 --square-mm 20 --stage-view floor.png "
@@ -25,7 +16,7 @@ CAMERA_EXAMPLE = (
 
 
 @click.group(
-    epilog=example(CAMERA_EXAMPLE),
+    epilog=options.example(CAMERA_EXAMPLE),
     short_help="process measurements from a real bench: camera, videos, reference friction",
     subcommand_metavar="WHAT [options]",
 )
@@ -33,61 +24,34 @@ def capture() -> None:
     """Process measurements from a real bench: camera, videos, reference friction."""
 
 
-@verb(
+@options.verb(
     "calibrate a camera from images or a video of a checkerboard or ChArUco board",
     CAMERA_EXAMPLE,
     parent=capture,
 )
-@argument(
-    "views", nargs=-1, type=FILE, metavar="[FILE...]", help="images of the board, or one video"
-)
+@argument("views", nargs=-1, type=options.FILE, metavar="[FILE...]", help="images, or a video")
 @option(
     "--from",
     "source",
-    type=FILE,
-    help="take the lens from a calibration of OpenCV (YAML, XML, JSON) or ROS (camera_info) "
-    "in place of images of the board",
+    type=options.FILE,
+    help="take the lens from a calibration of OpenCV (YAML, XML, JSON) or ROS (camera_info)",
 )
-@option(
-    "--board",
-    type=click.Choice(("checkerboard", "charuco")),
-    default="checkerboard",
-    show_default=True,
-)
+@option("--board", type=click.Choice(("checkerboard", "charuco")), default="checkerboard")
 @option("--squares", metavar="MxN", help="number of squares along the board's width and height")
 @option("--square-mm", type=float, help="side length of a square")
 @option("--marker-mm", type=float, help="ChArUco: side length of a marker")
-@option(
-    "--dictionary", help="ChArUco: OpenCV's name of the marker dictionary (default: DICT_5X5_100)"
-)
-@option(
-    "--stage-view",
-    type=FILE,
-    metavar="IMAGE",
-    help="image of the board flat on the floor, from the camera's position on the bench; "
-    "without it the file lacks the camera's position and cannot be used for rendering",
-)
-@option(
-    "--place-mm",
-    nargs=2,
-    type=float,
-    metavar="X Y",
-    help="position of the board's first corner in that image, in the stage's coordinates",
-)
-@option(
-    "--angle-deg",
-    type=float,
-    help="angle from the stage's direction to the board's width, counter-clockwise from above",
-)
+@option("--dictionary", help="ChArUco: OpenCV's name of it (default: DICT_5X5_100)")
+@option("--stage-view", type=options.FILE, help="the board on the floor, from the camera's place")
+@option("--place-mm", nargs=2, type=float, metavar="X Y", help="its first corner on the stage")
+@option("--angle-deg", type=float, help="from the stage to its width, counter-clockwise from above")
 @option(
     "--thickness-mm",
     type=float,
-    help="height of the board's face above the floor (default: 0); with it and the place, "
-    "the camera tells the clamps' height",
+    help="height of its face above the floor (default: 0); with the place it tells the clamps'",
 )
-@option("--out", required=True, type=JSON, help="camera file")
-@option("--picture", type=PICTURE, help="the residuals (PNG or SVG)")
-def camera(arguments: Arguments) -> None:
+@option("--out", required=True, type=options.JSON, help="camera file")
+@option("--picture", type=options.PICTURE, help="the residuals (PNG or SVG)")
+def camera(arguments: options.Arguments) -> None:
     """Calibrate, write the camera file and the picture, print the result in one line."""
     from slipstitch.film.camera_calibration import FloorPlace, camera_to_file
 
@@ -95,14 +59,14 @@ def camera(arguments: Arguments) -> None:
         value = getattr(arguments, name)
         if value is None:
             continue
-        require(arguments, ["stage_view"], flag(name))
+        options.require(arguments, ["stage_view"], options.flag(name))
         for one in value if isinstance(value, tuple) else [value]:
             if not abs(one) <= most:
-                raise BadInput(f"{flag(name)}: {one:g}; must be from {-most} to {most}")
+                raise BadInput(f"{options.flag(name)}: {one:g}; must be from {-most} to {most}")
     if bool(arguments.source) == bool(arguments.views):
         raise BadInput("give images of the board, or the calibration of another program by --from")
     if arguments.source:
-        refuse(arguments, ("picture",), "--from")
+        options.refuse(arguments, ("picture",), "--from")
     board = _board(arguments)
     x_mm, y_mm = arguments.place_mm or (0.0, 0.0)
     is_measured = None not in (arguments.place_mm, arguments.thickness_mm)
@@ -114,15 +78,15 @@ def camera(arguments: Arguments) -> None:
     print(f"{out}: {line}")
 
 
-def _board(arguments: Arguments):
+def _board(arguments: options.Arguments):
     """The board, None where no image shows one."""
     from slipstitch.film.board import Board
 
     is_board_seen = bool(arguments.views or arguments.stage_view)
     if is_board_seen:
-        require(arguments, ["squares", "square_mm"], "an image of a board")
+        options.require(arguments, ["squares", "square_mm"], "an image of a board")
     if arguments.board == "checkerboard":
-        refuse(arguments, ("dictionary",), "--board checkerboard")
+        options.refuse(arguments, ("dictionary",), "--board checkerboard")
     if not is_board_seen:
         return None
     return Board.named(
@@ -138,21 +102,16 @@ def _board(arguments: Arguments):
 OUTSIDE_EXIT_CODE = 3
 
 
-@verb(
+@options.verb(
     "check whether a camera sees the track, from a pose in the training range of an instrument",
     "slipstitch capture check camera.json --model results/instrument/by_simulation/seed0 "
     "--picture check.png",
     parent=capture,
 )
-@argument(
-    "camera",
-    type=FILE,
-    metavar="CAMERA.json",
-    help="camera file written by slipstitch capture camera",
-)
-@trained_instrument
-@option("--picture", type=PICTURE, help="PNG or SVG")
-def check(arguments: Arguments) -> int:
+@argument("camera", type=options.FILE, metavar="CAMERA.json", help="as of capture camera")
+@options.trained_instrument
+@option("--picture", type=options.PICTURE, help="PNG or SVG")
+def check(arguments: options.Arguments) -> int:
     """Compare, draw, print; exit code 3 if the camera cannot be used."""
     from slipstitch.base.page.figures import save_figure
     from slipstitch.base.provenance import provenance_record, recorded_path, start_clock
@@ -169,7 +128,7 @@ def check(arguments: Arguments) -> int:
     return OUTSIDE_EXIT_CODE if found.outside else 0
 
 
-@verb(
+@options.verb(
     "convert videos of a bench to the format of the dataset: synchronised, rectified, cropped",
     "slipstitch capture ingest bench/captures.csv --config results/config.json "
     "--reference bench/reference.csv --out-dir results/captures/dataset",
@@ -177,25 +136,21 @@ def check(arguments: Arguments) -> int:
 )
 @argument(
     "table",
-    type=FILE,
+    type=options.FILE,
     metavar="CAPTURES.csv",
     help="columns video, material, substrate, repeat, mu_ref, mu_ref_error, reflective (yes or "
     "no), camera; optional: start_s, frame_rate_hz; paths are relative to its folder",
 )
-@config_files("configuration of the dataset the networks were trained on", one_each=True)
-@option(
-    "--reference",
-    type=FILE,
-    help="file written by slipstitch capture reference, for rows with an empty mu_ref",
-)
-@option("--out-dir", required=True, type=FOLDER, help="folder for the dataset")
-def ingest(arguments: Arguments) -> None:
+@options.config_files("configuration of the dataset the networks were trained on", one_each=True)
+@option("--reference", type=options.FILE, help="as of capture reference, for rows without mu_ref")
+@option("--out-dir", required=True, type=options.FOLDER, help="folder for the dataset")
+def ingest(arguments: options.Arguments) -> None:
     """Ingest all videos of the table; say of each where it starts."""
     from slipstitch.base.progress import progress
     from slipstitch.film.ingest_videos import ingest as ingest_table
 
     bar = partial(progress, unit="video")
-    config = configuration(arguments)
+    config = options.configuration(arguments)
     rows = ingest_table(config, arguments.table, arguments.out_dir, arguments.reference, bar)
     for row in rows:
         how = "found" if row["start_found"] else "stated"
@@ -209,7 +164,7 @@ def ingest(arguments: Arguments) -> None:
     print(f"{arguments.out_dir}: {len(rows)} videos of {len(pairs)} pairs")
 
 
-@verb(
+@options.verb(
     "compute the friction of each fabric and substrate from slip angles on an inclined plane",
     "slipstitch capture reference bench/slip_angles.csv --out bench/reference.csv "
     "--json bench/reference.json --picture bench/reference.svg",
@@ -217,15 +172,15 @@ def ingest(arguments: Arguments) -> None:
 )
 @argument(
     "table",
-    type=FILE,
+    type=options.FILE,
     metavar="ANGLES.csv",
     help="columns material, substrate, position, orientation, repeat, angle_deg, "
     "bench_error_deg (the largest error of the bench's angle)",
 )
-@option("--out", required=True, type=TABLE, help="CSV, one row per pair")
-@option("--json", type=JSON, help="JSON with all details")
-@option("--picture", type=PICTURE, help="PNG or SVG")
-def reference(arguments: Arguments) -> None:
+@option("--out", required=True, type=options.TABLE, help="CSV, one row per pair")
+@option("--json", type=options.JSON, help="JSON with all details")
+@option("--picture", type=options.PICTURE, help="PNG or SVG")
+def reference(arguments: options.Arguments) -> None:
     """Estimate, write, print one line per pair."""
     from slipstitch.film.slip_angles import reference_to_files
 
@@ -250,22 +205,20 @@ def _pair_line(pair) -> str:
     return "; ".join(parts)
 
 
-@verb(
+@options.verb(
     "generate surrogate captures: simulated videos, labelled as surrogates",
     "slipstitch capture surrogate --config results/config.json --film c00_r01 "
     "--out results/captures/bench/c00_r01.mp4",
     parent=capture,
 )
-@config_files()
-@option(
-    "--bench", type=FOLDER, help="folder for the camera files, slip_angles.csv and captures.csv"
-)
+@options.config_files()
+@option("--bench", type=options.FOLDER, help="folder for the cameras' files and the tables")
 @option("--film", metavar="ID", help="instead: simulate and render one video, c00_r01 ...")
-@option("--out", type=Output(".mp4"), help="with --film: the video (MP4)")
-def surrogate(arguments: Arguments) -> None:
+@option("--out", type=options.Output(".mp4"), help="with --film: the video (MP4)")
+def surrogate(arguments: options.Arguments) -> None:
     """Write the bench's tables, or one film."""
-    mode = exactly_one(arguments, "bench", "film")
-    config = configuration(arguments)
+    mode = options.exactly_one(arguments, "bench", "film")
+    config = options.configuration(arguments)
     if mode == "bench":
         if arguments.out:
             raise BadInput("--out requires --film")
@@ -287,13 +240,13 @@ def surrogate(arguments: Arguments) -> None:
     )
 
 
-@verb(
+@options.verb(
     "import the export of a testing machine as the trace of a case",
     "slipstitch capture trace export.csv --columns time=Zeit,force=Standardkraft --units N "
     "--out cases/linen-on-glass/spring_slider/t00.csv",
     parent=capture,
 )
-@argument("file", type=FILE, help="CSV of one run; lines above the names are left out")
+@argument("file", type=options.FILE, help="CSV of one run; lines above the names are left out")
 @option(
     "--columns",
     required=True,
@@ -304,11 +257,10 @@ def surrogate(arguments: Arguments) -> None:
     "--units",
     default="",
     metavar="UNIT,...",
-    help="of the force (mN, N, kN, cN, gf, kgf, lbf) and, where they are not s and mm, of time "
-    "and extension; a row of units in the file must say the same",
+    help="of the force (mN ... lbf), and of time and extension where they are not s and mm",
 )
-@option("--out", required=True, type=TABLE, help="CSV of a case")
-def trace(arguments: Arguments) -> None:
+@option("--out", required=True, type=options.TABLE, help="CSV of a case")
+def trace(arguments: options.Arguments) -> None:
     """Import, write, say what was read."""
     from slipstitch.criticise.trace_import import import_trace
 

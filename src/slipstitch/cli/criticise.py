@@ -6,66 +6,40 @@ from pathlib import Path
 import click
 from click import argument, option
 
-from slipstitch.cli.checks import refuse
-from slipstitch.cli.options import Arguments, switch, verb
-from slipstitch.cli.parameter_types import JSON, TABLE, Output
+from slipstitch.cli import options
 
 
-@verb(
+@options.verb(
     "find what the friction model gets wrong in a measured case, and why",
     "slipstitch criticise cases/linen-on-glass --out verdict.json --report verdict.html",
 )
 @argument("case", metavar="CASE_DIR", help="folder of one case (docs/criticise-your-data.md)")
-@option("--out", type=JSON, required=True, metavar="FILE", help="verdict as JSON")
-@option(
-    "--report",
-    type=Output(".html", ".md"),
-    help="the verdict as an HTML page, or as Markdown without pictures",
-)
-@option("--picture", type=Output(".svg"), help="plot of the residuals, as SVG")
-@option("--model", type=Output(".yaml", ".yml"), help="the extended model as YAML")
+@option("--out", type=options.JSON, required=True, metavar="FILE", help="verdict as JSON")
+@option("--report", type=options.Output(".html", ".md"), help="the verdict as a page, or Markdown")
+@option("--picture", type=options.Output(".svg"), help="plot of the residuals, as SVG")
+@option("--model", type=options.Output(".yaml", ".yml"), help="the extended model as YAML")
 @option(
     "--resimulate",
-    type=JSON,
-    help="simulate the drop-and-drag runs with the null and the extended law in the cloth "
-    "simulator (about a second per run), each with models found without its specimen; errors "
-    "and gain as JSON, and on the page",
+    type=options.JSON,
+    help="simulate the drop-and-drag runs with the null and the extended law (a second per run), "
+    "each with models found without its specimen: errors and gain",
 )
 @option(
     "--validate",
     metavar="NEW_CASE",
-    help="predict a fresh case, lock the prediction (OUT.prediction.csv, with a digest) and "
-    "score it with the measured values (OUT.validation.json); a prediction locked earlier is "
-    "kept, and a case without measured values is only predicted",
+    help="predict a fresh case, lock the prediction (OUT.prediction.csv) and score it with the "
+    "measured values, if there are any (OUT.validation.json)",
 )
-@option(
-    "--seed",
-    type=click.IntRange(0),
-    default=1,
-    show_default=True,
-    help="seed of the simulated maxima",
-)
-@switch(
-    "--power",
-    "power analysis of a design before the measurement: only run tables are read; --out "
-    "contains the smallest detectable effect of every mechanism",
-)
-@option(
-    "--replicates",
-    type=click.IntRange(50),
-    default=300,
-    show_default=True,
-    help="simulated data sets for each family-wise p",
-)
+@option("--seed", type=click.IntRange(0), default=1, help="of the simulated maxima (default: 1)")
+@options.switch("--power", "before the measurement: smallest detectable effects of the run tables")
+@option("--replicates", type=click.IntRange(50), default=300, help="data sets a p (default: 300)")
 @option(
     "--campaigns",
     type=click.IntRange(0),
     default=0,
-    help="simulate the rate of false alarms with as many campaigns of this design, noise and "
-    "scatter that hold nothing (each as long as the criticism itself; default 0: only the "
-    "limit is stated)",
+    help="simulate the rate of false alarms with so many campaigns (default: state its limit)",
 )
-def criticise(arguments: Arguments) -> int:
+def criticise(arguments: options.Arguments) -> int:
     """Criticise one case, or what its design could show; exit code 0 whatever the verdict."""
     from slipstitch.base.progress import note
     from slipstitch.criticise.case import read_case
@@ -73,7 +47,7 @@ def criticise(arguments: Arguments) -> int:
 
     if arguments.power:
         ignored = ("report", "picture", "model", "resimulate", "validate")
-        refuse(arguments, ignored, "--power")
+        options.refuse(arguments, ignored, "--power")
         from slipstitch.criticise.criticism_files import power_to_file
 
         case = read_case(arguments.case, with_measurements=False)
@@ -115,16 +89,14 @@ def _validate(out: Path, case: Path) -> None:
     print(score_words(found))
 
 
-@verb(
+@options.verb(
     "predict a new case with the null and the extended model of a verdict",
     "slipstitch predict verdict.json cases/linen-next-week --out predictions.csv",
 )
 @argument("verdict", metavar="VERDICT", help="JSON written by slipstitch criticise")
-@argument(
-    "case", metavar="CASE_DIR", help="folder of the new case; its measured values are ignored"
-)
-@option("--out", type=TABLE, required=True, metavar="FILE", help="predictions as CSV")
-def predict(arguments: Arguments) -> None:
+@argument("case", metavar="CASE_DIR", help="folder of the new case, measured or not")
+@option("--out", type=options.TABLE, required=True, metavar="FILE", help="predictions as CSV")
+def predict(arguments: options.Arguments) -> None:
     """Write one line per run and quantity."""
     from slipstitch.base.progress import note
     from slipstitch.base.provenance import atomic_path

@@ -7,49 +7,37 @@ import click
 from click import option
 
 from slipstitch.base.errors import BadInput
-from slipstitch.cli.checks import exactly_one, flag, refuse, require
-from slipstitch.cli.options import (
-    Arguments,
-    config_files,
-    configuration,
-    several,
-    switch,
-    thread_count,
-    verb,
-)
-from slipstitch.cli.parameter_types import FOLDER, JSON, PAGE, PARQUET, ChoiceOf
+from slipstitch.cli import options
 
-SPLIT = ChoiceOf("config.train", "TRAINED_ON")
-NETWORK = ChoiceOf("config.train", "NETWORKS")
-QUESTION = ChoiceOf("config.ablate", "QUESTIONS")
+# Names of `slipstitch.config.train`, which is too slow to import for a help text.
+SPLIT = click.Choice(("by_video", "by_simulation", "by_video_reflective"))
+NETWORK = click.Choice(("material_baseline", "friction_baseline", "friction_conditional"))
+QUESTION = click.Choice(("diversity", "conditioning", "schedule", "initialisation", "floors"))
 SEED = click.IntRange(0)
 DATASET = "folder written by `slipstitch sample`"
 
 
-@verb(
+@options.verb(
     "train a network that predicts material or friction from the sampled frames",
     "slipstitch train --config results/config.json --dataset results/sample "
     "--network friction_baseline --split by_video --seed 0 "
     "--out-dir results/train/by_video/friction_baseline/seed0",
 )
-@config_files()
+@options.config_files()
 @option("--dataset", required=True, help=DATASET)
 @option("--split", required=True, type=SPLIT)
 @option("--seed", required=True, type=SEED)
-@option("--out-dir", type=FOLDER, required=True, help="folder for the trained model")
-@thread_count()
+@option("--out-dir", type=options.FOLDER, required=True, help="folder for the trained model")
+@options.thread_count()
 @option("--network", required=True, type=NETWORK)
-@option(
-    "--material-model",
-    help="folder of the material_baseline of the same split and seed (friction_conditional)",
-)
-def train(arguments: Arguments) -> None:
+@option("--material-model", help="friction_conditional: folder of the material_baseline")
+def train(arguments: options.Arguments) -> None:
     """Train, write the model, print a summary."""
     from slipstitch.design.grid import classes
     from slipstitch.design.trainable import view_order
     from slipstitch.learning.lrcn_training import train_network
 
-    config = configuration(arguments)
+    config = options.configuration(arguments)
     card = train_network(
         config.train,
         _run(arguments, config),
@@ -65,7 +53,7 @@ def train(arguments: Arguments) -> None:
     )
 
 
-def _run(arguments: Arguments, config):
+def _run(arguments: options.Arguments, config):
     """What one training is given."""
     from slipstitch.learning.trainer import Run
 
@@ -79,42 +67,30 @@ def _run(arguments: Arguments, config):
     )
 
 
-@verb(
+@options.verb(
     "train, average and calibrate the measuring instrument for friction and its alarm",
     "slipstitch instrument --config results/config.json --dataset results/sample "
     "--split by_simulation --seed 0 --out-dir results/instrument/by_simulation/seed0",
 )
-@config_files(required=False)
+@options.config_files(required=False)
 @option("--dataset", help=DATASET)
 @option("--split", type=SPLIT)
-@option("--out-dir", type=FOLDER, required=True, help="folder for the instrument")
-@thread_count()
+@option("--out-dir", type=options.FOLDER, required=True, help="folder for the instrument")
+@options.thread_count()
 @option("--seed", type=SEED, help="train an instrument with this seed")
-@several(
-    "--members",
-    metavar="DIR",
-    help="instead: average these instruments, trained with other seeds, and calibrate the average",
+@options.several("--members", metavar="DIR", help="instead: average and calibrate these")
+@option("--recalibrate", metavar="DIR", help="instead: calibrate the intervals of this average")
+@options.several(
+    "--calibration-datasets", metavar="DIR", help="of an average: all their videos calibrate too"
 )
-@option(
-    "--recalibrate",
-    metavar="DIR",
-    help="instead: stretch the intervals of this average by --calibration-datasets or --readings",
+@options.several(
+    "--readings", metavar="FILE", help="with --recalibrate: its readings of known videos (JSON)"
 )
-@several(
-    "--calibration-datasets",
-    metavar="DIR",
-    help="with --members or --recalibrate: datasets of which all videos calibrate too",
-)
-@several(
-    "--readings",
-    metavar="FILE",
-    help="with --recalibrate: JSON files of its readings of videos of known friction",
-)
-def instrument(arguments: Arguments) -> None:
+def instrument(arguments: options.Arguments) -> None:
     """Train, average or recalibrate, write, print a summary."""
-    mode = exactly_one(arguments, "seed", "members", "recalibrate")
+    mode = options.exactly_one(arguments, "seed", "members", "recalibrate")
     if mode == "recalibrate":
-        refuse(arguments, ("config", "dataset", "split"), flag(mode))
+        options.refuse(arguments, ("config", "dataset", "split"), options.flag(mode))
         from slipstitch.learning.instrument.ensemble import recalibrate_instrument
 
         if not (arguments.calibration_datasets or arguments.readings):
@@ -129,10 +105,10 @@ def instrument(arguments: Arguments) -> None:
             )
         )
         return
-    refuse(arguments, ("readings",), flag(mode))
-    require(arguments, ("config", "dataset", "split"), flag(mode))
+    options.refuse(arguments, ("readings",), options.flag(mode))
+    options.require(arguments, ("config", "dataset", "split"), options.flag(mode))
 
-    config = configuration(arguments)
+    config = options.configuration(arguments)
     if mode == "members":
         from slipstitch.learning.instrument.ensemble import combine_instruments
 
@@ -147,7 +123,7 @@ def instrument(arguments: Arguments) -> None:
             )
         )
         return
-    refuse(arguments, ("calibration_datasets",), flag(mode))
+    options.refuse(arguments, ("calibration_datasets",), options.flag(mode))
     from slipstitch.design.trainable import instrument_views
     from slipstitch.learning.instrument.training import train_instrument
 
@@ -174,38 +150,31 @@ def _error_bars(card: dict[str, Any]) -> str:
     return calibrated + (", too few for an interval" if bars["factor"] is None else "")
 
 
-@verb(
+@options.verb(
     "evaluate the trained networks: metrics, confusion, predictions",
     "slipstitch evaluate --config results/config.json --dataset results/sample "
     "--models results/train --out results/evaluate/metrics.json "
     "--predictions results/evaluate/predictions.parquet",
 )
-@config_files()
+@options.config_files()
 @option("--dataset", required=True, help=DATASET)
 @option("--models", help="folder {split}/{network}/seed{seed}/")
 @option("--instruments", help="folder {split}/seed{seed}/ of instruments")
-@option("--out", type=JSON, required=True, help="metrics.json")
-@option("--predictions", type=PARQUET, required=True, help="predictions.parquet")
-@option(
-    "--details",
-    type=JSON,
-    help="chance level, seeds, viewpoints, confusion (default: details.json beside --out)",
-)
-@switch("--update", "keep the scores of models that are unchanged since --out was written")
-@thread_count()
-@switch(
-    "--captures",
-    "the dataset is of captures, real or surrogate, written by `slipstitch capture ingest`",
-)
-@option("--page", type=PAGE, help="with --captures: tables and plots (HTML)")
-def evaluate(arguments: Arguments) -> None:
+@option("--out", type=options.JSON, required=True, help="metrics.json")
+@option("--predictions", type=options.PARQUET, required=True, help="predictions.parquet")
+@option("--details", type=options.JSON, help="by seed and view (default: details.json beside)")
+@options.switch("--update", "keep the scores of models that are unchanged since --out was written")
+@options.thread_count()
+@options.switch("--captures", "the dataset is of captures, from `slipstitch capture ingest`")
+@option("--page", type=options.PAGE, help="with --captures: tables and plots (HTML)")
+def evaluate(arguments: options.Arguments) -> None:
     """Evaluate, write, print the table."""
     from slipstitch.film.measure.measuring_bench import shipped_for
     from slipstitch.learning.evaluation.evaluation import write_evaluation
     from slipstitch.learning.evaluation.metrics import test_set_lines
     from slipstitch.learning.evaluation.trained import Trained
 
-    config = configuration(arguments)
+    config = options.configuration(arguments)
     if not (arguments.models or arguments.instruments):
         raise BadInput("--models, --instruments or both are required")
     trained = Trained(
@@ -228,12 +197,12 @@ def evaluate(arguments: Arguments) -> None:
     print(*test_set_lines(metrics), sep="\n")
 
 
-def _captures(arguments: Arguments, trained) -> None:
+def _captures(arguments: options.Arguments, trained) -> None:
     """Evaluate on captures; print one line per model and subset."""
     from slipstitch.film.captures_evaluation import write_captures_evaluation
     from slipstitch.learning.evaluation.metrics import capture_lines
 
-    refuse(arguments, ("details", "update"), "--captures")
+    options.refuse(arguments, ("details", "update"), "--captures")
     metrics = write_captures_evaluation(
         arguments.dataset,
         trained,
@@ -245,7 +214,7 @@ def _captures(arguments: Arguments, trained) -> None:
     print(*capture_lines(metrics), sep="\n")
 
 
-@verb(
+@options.verb(
     "ablations: change one training choice at a time, at an equal budget",
     "slipstitch ablate --config results/config.json --dataset results/sample "
     "--question diversity --network lrcn --variant textures --seed 0 "
@@ -253,26 +222,22 @@ def _captures(arguments: Arguments, trained) -> None:
     "slipstitch ablate --config results/config.json --summary results/ablate "
     "--out results/ablate/ablate.json --page results/ablate/index.html",
 )
-@config_files()
-@option("--out", type=JSON, required=True, help="the result, or the summary (JSON)")
+@options.config_files()
+@option("--out", type=options.JSON, required=True, help="the result, or the summary (JSON)")
 @option("--dataset", help=DATASET)
 @option("--question", type=QUESTION, help="train and test one variant of a question")
 @option("--network", type=click.Choice(("lrcn", "instrument")))
 @option("--variant", metavar="NAME", help="one of the question's variants of the network")
 @option("--seed", type=SEED)
-@thread_count()
-@option(
-    "--summary",
-    metavar="FOLDER",
-    help="instead: sum up the results in a folder, {question}/{network}_{variant}_seed{seed}.json",
-)
-@option("--page", type=PAGE, help="with --summary: conclusions, plots and tables (HTML)")
-def ablate(arguments: Arguments) -> None:
+@options.thread_count()
+@option("--summary", metavar="FOLDER", help="instead: sum up the results in a folder")
+@option("--page", type=options.PAGE, help="with --summary: conclusions, plots and tables (HTML)")
+def ablate(arguments: options.Arguments) -> None:
     """Train and test one variant or summarise all results; print the outcome."""
     one = ("dataset", "question", "network", "variant", "seed")
-    config = configuration(arguments)
+    config = options.configuration(arguments)
     if arguments.summary:
-        refuse(arguments, one, "--summary")
+        options.refuse(arguments, one, "--summary")
         _summary(config, arguments)
         return
     if any(getattr(arguments, name) is None for name in one) or arguments.page:
@@ -280,7 +245,7 @@ def ablate(arguments: Arguments) -> None:
             "--dataset, --question, --network, --variant and --seed are required, or --summary "
             "(--page requires --summary)"
         )
-    from slipstitch.config.ablate import VARIANTS
+    from slipstitch.config.train import VARIANTS
     from slipstitch.learning.ablation.run import Case, write_case
 
     variants = VARIANTS[arguments.question].get(arguments.network, ())
@@ -304,7 +269,7 @@ def ablate(arguments: Arguments) -> None:
     )
 
 
-def _summary(config, arguments: Arguments) -> None:
+def _summary(config, arguments: options.Arguments) -> None:
     """Write summary and page; print the sentences."""
     from slipstitch.learning.ablation.summary import write_summary
 

@@ -15,7 +15,7 @@ import click
 
 from slipstitch import __version__
 from slipstitch.base.errors import BadInput, SlipstitchError, refused_by_the_machine
-from slipstitch.base.threads import use_one_thread
+from slipstitch.base.start import use_one_thread
 
 # Verb -> its module, in the order of the chain.
 VERBS = {
@@ -29,11 +29,11 @@ VERBS = {
     "instrument": "learning",
     "evaluate": "learning",
     "ablate": "learning",
-    "report": "report",
+    "report": "project",
     "status": "project",
-    "publish": "report",
+    "publish": "project",
     "release": "dataset",
-    "audit": "audit",
+    "audit": "dataset",
     "capture": "capture",
     "measure": "measure",
     "criticise": "criticise",

@@ -5,69 +5,31 @@ import math
 from click import argument, option
 
 from slipstitch.base.errors import BadInput
-from slipstitch.cli.checks import flag
-from slipstitch.cli.options import Arguments, switch, thread_count, trained_instrument, verb
-from slipstitch.cli.parameter_types import FILE, JSON, PAGE, TABLE
+from slipstitch.cli import options
 
 # A program must not mistake a result with an alarm for a measurement.
 ALARM_EXIT_CODE = 3
 BAD_INPUT_EXIT_CODE = 2
 
 
-@verb(
+@options.verb(
     "measure the friction coefficient in a video, with an error bar, the fabric and an alarm",
     "slipstitch measure bench/glass_1.mp4 --camera bench/camera.json --out glass_1.html",
 )
-@argument(
-    "videos",
-    nargs=-1,
-    type=FILE,
-    metavar="[VIDEO...]",
-    help="video of the whole protocol; several: repeats of one fabric-substrate pair, "
-    "measured individually and together",
-)
-@switch(
-    "--example", "measure the video that comes with Slipstitch: a simulated one, not a real one"
-)
-@option(
-    "--camera",
-    type=FILE,
-    help="camera file written by slipstitch capture camera, with its position at the stage",
-)
-@trained_instrument
-@option("--out", type=PAGE, help="write the result as an HTML page")
-@option("--json", type=JSON, help="write all numbers as JSON")
-@option("--csv", type=TABLE, help="write a table, one row per video")
-@option(
-    "--start-s",
-    type=float,
-    metavar="S",
-    help="start of the stage's motion in the video (default: found in the frames)",
-)
-@option(
-    "--frame-rate-hz",
-    type=float,
-    metavar="HZ",
-    help="frame rate of the camera, if the file's timestamps are wrong",
-)
-@option(
-    "--clamp-height-mm",
-    type=float,
-    metavar="MM",
-    help="measured height of the lowered clamps above the substrate: corrects the result",
-)
-@option(
-    "--clamp-height-error-mm",
-    type=float,
-    metavar="MM",
-    help="standard deviation of that height (default: 0.2, as a gauge block sets it)",
-)
-@switch(
-    "--force",
-    "measure, with an alarm, even if the pose of the camera is outside the training range",
-)
-@thread_count(default=2)
-def measure(arguments: Arguments) -> int:
+@argument("videos", nargs=-1, type=options.FILE, metavar="[VIDEO...]", help="repeats of one pair")
+@options.switch("--example", "measure the video that comes with Slipstitch, a simulated one")
+@option("--camera", type=options.FILE, help="file that slipstitch capture camera wrote")
+@options.trained_instrument
+@option("--out", type=options.PAGE, help="write the result as an HTML page")
+@option("--json", type=options.JSON, help="write all numbers as JSON")
+@option("--csv", type=options.TABLE, help="write a table, one row per video")
+@option("--start-s", type=float, help="start of the stage's motion (default: found in the frames)")
+@option("--frame-rate-hz", type=float, help="frame rate, if the file's timestamps are wrong")
+@option("--clamp-height-mm", type=float, help="measured height of the lowered clamps: corrects µ")
+@option("--clamp-height-error-mm", type=float, help="its standard deviation (default: 0.2)")
+@options.switch("--force", "measure, with an alarm, also outside the range of camera poses")
+@options.thread_count(default=2)
+def measure(arguments: options.Arguments) -> int:
     """Measure, write the page, print the result.
 
     Exit code 3 if a video raised the alarm, 2 if one of several could not be measured.
@@ -110,7 +72,7 @@ def measure(arguments: Arguments) -> int:
     return ALARM_EXIT_CODE if any(video.alarm_reason for video in pair.videos) else 0
 
 
-def _clamps(arguments: Arguments, bench):
+def _clamps(arguments: options.Arguments, bench):
     """The height of the clamps as told."""
     from slipstitch.film.measure.clamp_height import GAUGE_BLOCK_M, ClampHeight
 
@@ -122,7 +84,7 @@ def _clamps(arguments: Arguments, bench):
     )
 
 
-def _check(arguments: Arguments) -> None:
+def _check(arguments: options.Arguments) -> None:
     if arguments.example:
         if arguments.videos or arguments.camera:
             raise BadInput("--example has its own video and camera: give neither with it")
@@ -134,7 +96,7 @@ def _check(arguments: Arguments) -> None:
         value = getattr(arguments, name)
         if value is not None and not (math.isfinite(value) and value >= lowest):
             least = "at least 0" if lowest == 0 else "greater than 0"
-            raise BadInput(f"{flag(name)} {value:g}: must be {least}")
+            raise BadInput(f"{options.flag(name)} {value:g}: must be {least}")
     if arguments.clamp_height_mm is None and arguments.clamp_height_error_mm is not None:
         raise BadInput("--clamp-height-error-mm: give --clamp-height-mm with it")
     if arguments.clamp_height_mm is not None and arguments.model:

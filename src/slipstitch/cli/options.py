@@ -1,14 +1,131 @@
-"""Verbs as click commands: options shared by several verbs, and checks common to all."""
+"""Verbs as click commands: types of options, options shared by several verbs, checks of all."""
 
-from collections.abc import Callable
+import tempfile
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import click
 
-from slipstitch.cli.checks import Arguments, refuse_overwriting
-from slipstitch.cli.parameter_types import DIR, FILE
+from slipstitch.base.errors import BadInput
 
 THREADS_MAX = 1024
+Arguments = SimpleNamespace
+
+
+class Output(click.ParamType):
+    """A file to write, by its endings, or a folder: refused before any work if it cannot be."""
+
+    name = "file"
+
+    def __init__(self, *endings: str, folder: bool = False, or_stdout: bool = False):
+        self.endings = endings
+        self.folder = folder
+        self.or_stdout = or_stdout
+        self.name = "dir" if folder else "file"
+
+    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
+        """Return the path."""
+        path = Path(value)
+        if self.or_stdout and str(value) == "-":
+            return path
+        problem = _unwritable(path, self.folder)
+        if problem is None and self.endings and path.suffix.lower() not in self.endings:
+            problem = f"must end in {' or '.join(self.endings)}"
+        if problem:
+            self.fail(f"{value}: {problem}", param, ctx)
+        return path
+
+
+def _unwritable(path: Path, folder: bool) -> str | None:
+    """Why an output path cannot be written; None if it can."""
+    if folder and path.exists() and not path.is_dir():
+        return "is a file; must be a folder"
+    if not folder and path.is_dir():
+        return "is a folder; must be a file"
+    if not folder and path.exists() and not path.is_file():
+        return "is a device or a pipe; must be a file"
+    above = next((parent for parent in path.absolute().parents if parent.exists()), path)
+    if not above.is_dir():
+        return f"{above} is a file, not a folder"
+    try:  # permissions alone do not tell of a read-only disk, or of /proc
+        with tempfile.TemporaryDirectory(prefix=".", dir=above):
+            return None
+    except OSError as error:
+        return f"cannot be written: {(error.strerror or 'refused').lower()}"
+
+
+FILE = click.Path(dir_okay=False, path_type=Path)
+DIR = click.Path(file_okay=False, path_type=Path)
+FOLDER = Output(folder=True)
+PAGE = Output(".html", ".htm")
+JSON = Output(".json")
+TABLE = Output(".csv")
+PARQUET = Output(".parquet")
+PICTURE = Output(".png", ".svg")
+
+
+def refuse_overwriting(context: click.Context) -> None:
+    """Refuse a file to be written that the command reads, or writes under another option, too."""
+    writes = {
+        one.name
+        for one in context.command.params
+        if isinstance(one.type, Output) and not one.type.folder
+    }
+    outputs: dict[Path, tuple[str, str]] = {}
+    for name in sorted(writes):
+        for file, text in _files(context.params.get(name)).items():
+            if file in outputs:
+                raise BadInput(f"{flag(name)} {text}: is the file of {outputs[file][0]}, too")
+            outputs[file] = flag(name), text
+    for name in sorted(set(context.params) - writes):
+        for file in _files(context.params[name]):
+            if file in outputs:
+                raise BadInput(f"{' '.join(outputs[file])}: the command reads this file")
+
+
+def _files(value: object) -> dict[Path, str]:
+    """The files that an option's value may name -> the words that name them."""
+    several = value if isinstance(value, list | tuple) else [value]
+    return {
+        Path(one).resolve(): str(one) for one in several if isinstance(one, str | Path) and str(one)
+    }
+
+
+def refuse(arguments: Arguments, names: Iterable[str], mode: str) -> None:
+    """Refuse options, by their names in `arguments`, that were given and `mode` would ignore."""
+    for name in names:
+        if given(arguments, name):
+            raise BadInput(f"{flag(name)} cannot be combined with {mode}")
+
+
+def require(arguments: Arguments, names: Iterable[str], mode: str) -> None:
+    """Refuse `mode` without all of these options, by their names in `arguments`."""
+    for name in names:
+        if not given(arguments, name):
+            raise BadInput(f"{mode} requires {flag(name)}")
+
+
+def exactly_one(arguments: Arguments, *names: str) -> str:
+    """Return the name of the one of these options that was given; refuse none or several."""
+    found = [name for name in names if given(arguments, name)]
+    if len(found) > 1:
+        raise BadInput(f"{flag(found[1])} cannot be combined with {flag(found[0])}")
+    if not found:
+        raise BadInput(f"one of {', '.join(map(flag, names))} is required")
+    return found[0]
+
+
+def given(arguments: Arguments, name: str) -> bool:
+    """Return whether an option was given."""
+    value = getattr(arguments, name)
+    return value is not None and value is not False and value != ()
+
+
+def flag(name: str) -> str:
+    """An option as on the command line; the shards have none."""
+    return "image shards" if name == "shards" else f"--{name.replace('_', '-')}"
 
 
 class Verb(click.Command):
@@ -85,7 +202,6 @@ def switch(name: str, help: str):
 
 def config_files(
     help: str = "YAML or JSON configuration; later files override earlier ones key by key",
-    *,
     required: bool = True,
     one_each: bool = False,
 ):
@@ -107,9 +223,7 @@ def configuration(arguments: Arguments, **more: Any):
 
 def calibration_file():
     """Declare ``--calibration FILE``."""
-    return click.option(
-        "--calibration", metavar="FILE", help="use the numerical settings of this calibration file"
-    )
+    return click.option("--calibration", metavar="FILE", help="take this calibration's settings")
 
 
 def thread_count(default: int = 1):
@@ -118,22 +232,14 @@ def thread_count(default: int = 1):
         "--threads",
         type=click.IntRange(1, THREADS_MAX),
         default=default,
-        show_default=True,
         metavar="COUNT",
-        help="number of threads",
+        help=f"number of threads (default: {default})",
     )
 
 
 def trained_instrument(run: Callable):
     """Declare ``--model DIR`` and ``--config FILE`` of a trained instrument."""
-    run = click.option(
-        "--config",
-        type=FILE,
-        help="configuration the instrument was trained with (default: config.json in the "
-        "nearest folder above the model)",
-    )(run)
-    return click.option(
-        "--model",
-        type=DIR,
-        help="a trained instrument (default: the one that comes with Slipstitch)",
-    )(run)
+    words = "its configuration (default: config.json in the nearest folder above the model)"
+    run = click.option("--config", type=FILE, help=words)(run)
+    words = "a trained instrument (default: the one that comes with Slipstitch)"
+    return click.option("--model", type=DIR, help=words)(run)

@@ -1,23 +1,19 @@
-"""The installation, a workflow folder, the state of a run, the configuration's schema and ids."""
+"""The installation, a workflow folder, the state and the results of a run, the configuration."""
 
 import click
 from click import argument, option
 
-from slipstitch.cli.options import Arguments, config_files, configuration, several, verb
-from slipstitch.cli.parameter_types import FOLDER, PARQUET
+from slipstitch.cli import options
 
 
-@verb(
+@options.verb(
     "check the installation and how to complete it; estimate the cost of a configuration",
     "slipstitch doctor --estimate config.yaml config/paper.yaml",
 )
-@several(
-    "--estimate",
-    metavar="FILE",
-    help="instead of checking the machine, print jobs, CPU time and disk space of the whole "
-    "chain for configuration files merged in this order",
+@options.several(
+    "--estimate", metavar="FILE", help="instead: jobs, CPU time and disk of these configurations"
 )
-def doctor(arguments: Arguments) -> int:
+def doctor(arguments: options.Arguments) -> int:
     """Print the findings; return 1 if a requirement is missing."""
     if arguments.estimate:
         from slipstitch.config import load_config
@@ -30,12 +26,12 @@ def doctor(arguments: Arguments) -> int:
     return print_findings()
 
 
-@verb(
+@options.verb(
     "create a workflow folder: Snakefile, rules, configurations, cases",
     "slipstitch init friction && cd friction && snakemake --cores 2 all",
 )
-@argument("folder", type=FOLDER, help="may exist")
-def init(arguments: Arguments) -> None:
+@argument("folder", type=options.FOLDER, help="may exist")
+def init(arguments: options.Arguments) -> None:
     """Copy the workflow's files and say what to do with them."""
     from slipstitch.base.project import lay_out
 
@@ -43,20 +39,14 @@ def init(arguments: Arguments) -> None:
     print(f"{arguments.folder}: config.yaml is the demo; to run it there: snakemake --cores 2 all")
 
 
-@verb(
+@options.verb(
     "show the state of a run: failures in plain words, jobs done by stage",
     "slipstitch status --results results",
 )
 @option("--results", default="results", show_default=True, help="results folder")
-@several("--config", hidden=True, help="not needed any more")
-@option(
-    "--lines",
-    type=click.IntRange(0),
-    default=12,
-    show_default=True,
-    help="lines of a failed job's log to show",
-)
-def status(arguments: Arguments) -> int:
+@options.several("--config", hidden=True, help="not needed any more")
+@option("--lines", type=click.IntRange(0), default=12, help="lines of a failed job's log: 12")
+def status(arguments: options.Arguments) -> int:
     """Print; return 1 if the last run failed or was interrupted, else 0."""
     from pathlib import Path
 
@@ -71,27 +61,79 @@ def status(arguments: Arguments) -> int:
     return 1 if stopped else 0
 
 
-@verb(
+@options.verb(
     "write the table of ids and seeds",
     "slipstitch grid --config results/config.json --out results/grid.parquet",
     hidden=True,
 )
-@config_files()
-@option("--out", type=PARQUET, required=True, help="Parquet file")
-def grid(arguments: Arguments) -> None:
+@options.config_files()
+@option("--out", type=options.PARQUET, required=True, help="Parquet file")
+def grid(arguments: options.Arguments) -> None:
     """Write the table."""
     from slipstitch.design.grid import write_grid
 
-    write_grid(configuration(arguments), arguments.out)
+    write_grid(options.configuration(arguments), arguments.out)
 
 
-@verb(
+@options.verb(
     "print the JSON schema of the configuration",
     "slipstitch schema > workflow/schemas/config.schema.json",
     hidden=True,
 )
-def schema(arguments: Arguments) -> None:
+def schema(arguments: options.Arguments) -> None:
     """Print it."""
     from slipstitch.config.model import schema_text
 
     print(schema_text(), end="")
+
+
+@options.verb(
+    "write a self-contained HTML report on a results folder",
+    "slipstitch report --config results/config.json --results results "
+    "--out results/report/index.html",
+)
+@options.config_files()
+@option("--results", required=True, help="results folder; may be incomplete")
+@option("--out", type=options.PAGE, required=True, help="HTML file")
+def report(arguments: options.Arguments) -> None:
+    """Write the page; print its path and the missing stages."""
+    from slipstitch.report.page import write_report
+
+    context = write_report(options.configuration(arguments), arguments.results, arguments.out)
+    there = {
+        "calibrate": context["physics"],
+        "simulate": context["simulations"]["done"],
+        "render": context["rendered"],
+        "sample": context["dataset"],
+        "train": context["networks"],
+        "evaluate": context["test_sets"],
+        "criticise": context["criticism"],
+        "release": context["audit"],
+    }
+    missing = [name for name, made in there.items() if not made]
+    size = arguments.out.stat().st_size / 1e6
+    print(
+        f"{arguments.out}: {size:.1f} MB" + (f"; not run: {', '.join(missing)}" if missing else "")
+    )
+
+
+@options.verb(
+    "copy scores, predictions, curves, costs, the model that ships and provenance of a run",
+    "slipstitch publish --config results/config.json --results results "
+    "--out-dir results/published/demo",
+)
+@options.config_files("YAML or JSON configuration that the results were made with")
+@option("--results", default="results", show_default=True, help="folder of the results")
+@option("--out-dir", type=options.FOLDER, required=True, help="new, empty, or published before")
+@options.switch("--partial", "publish an unfinished run; the index names what it lacks")
+@options.switch("--update", "keep what the folder has and the results no longer have")
+def publish(arguments: options.Arguments) -> None:
+    """Write the folder and say what it holds."""
+    from slipstitch.report.publishing import publish as publish_results
+
+    config = options.configuration(arguments)
+    index = publish_results(
+        config, arguments.results, arguments.out_dir, arguments.partial, arguments.update
+    )
+    lacking = f", partial: {len(index['missing'])} lacking" if index["partial"] else ""
+    print(f"{arguments.out_dir}: {len(index['files'])} files{lacking}")

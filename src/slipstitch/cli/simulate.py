@@ -1,59 +1,38 @@
 """A single drop-and-drag run, or simulations of the grid."""
 
+import click
 from click import option
 
 from slipstitch.base.errors import BadInput, NotConverged
-from slipstitch.cli.checks import refuse
-from slipstitch.cli.options import Arguments, calibration_file, config_files, several, verb
-from slipstitch.cli.parameter_types import PARQUET
+from slipstitch.cli import options
 
 
-@verb(
+@options.verb(
     "simulate a drop-and-drag run of a fabric at a friction coefficient",
     "slipstitch simulate --material gray-interlock --friction 0.3 --seed 0 --out x.parquet",
 )
-@several(
-    "--out",
-    type=PARQUET,
-    required=True,
-    help="Parquet file, one row per frame; one file per simulation",
-)
-@config_files(required=False)
-@calibration_file()
-@several(
-    "--simulation",
-    metavar="ID",
-    help="id in the configured grid, e.g. m05_f0300_r00; several are simulated in turn",
-)
-@option(
-    "--device",
-    help="where forces and stiffness are evaluated: cpu, cuda, cuda:1 ... (default: "
-    "compute.device of the configuration)",
-)
+@options.several("--out", type=options.PARQUET, required=True, help="a Parquet file per simulation")
+@options.config_files(required=False)
+@options.calibration_file()
+@options.several("--simulation", metavar="ID", help="id in the configured grid: m05_f0300_r00 ...")
+@option("--device", help="cpu, cuda, cuda:1 ... (default: compute.device of the configuration)")
 @option(
     "--handed-out",
     metavar="DIR",
-    help="folder of simulations, or a release: a simulation that is there is not computed "
-    "(default: compute.handed_out of the configuration)",
+    help="folder of simulations that are taken instead (default: compute.handed_out)",
 )
 @option("--material", help="a fabric of the catalogue")
 @option("--friction", type=float, help="friction coefficient between cloth and floor")
-@option("--seed", type=int, help="seed of the perturbation of the bench (default: 0)")
+@option("--seed", type=click.IntRange(0), help="seed of the bench's perturbation (default: 0)")
 @option("--model", metavar="FILE", help="extended model written by slipstitch criticise --model")
-@option(
-    "--set",
-    "overrides",
-    multiple=True,
-    metavar="KEY=VALUE",
-    help="any simulation setting, e.g. time_step_s=0.01; may be repeated",
-)
-def simulate(arguments: Arguments) -> None:
+@option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="a simulation setting")
+def simulate(arguments: options.Arguments) -> None:
     """Simulate and write; print one line per result."""
     from slipstitch.config.section import FRICTION_MAX
 
     by_hand = arguments.material is not None and arguments.friction is not None
     if arguments.simulation:
-        refuse(arguments, ("material", "friction", "seed"), "--simulation")
+        options.refuse(arguments, ("material", "friction", "seed"), "--simulation")
         if not arguments.config:
             raise BadInput("--simulation requires --config")
     elif not by_hand:
@@ -62,16 +41,14 @@ def simulate(arguments: Arguments) -> None:
         raise BadInput(
             f"--friction {arguments.friction:g}: must lie between 0 and {FRICTION_MAX:g}"
         )
-    seed = arguments.seed or 0
-    if seed < 0:
-        raise BadInput(f"--seed {seed}: must be at least 0")
     config = _configuration(arguments, by_hand)
 
     from slipstitch.physics.simulation.drop_and_drag import DropAndDrag
     from slipstitch.physics.simulation.simulation_files import run_of_the_grid, simulate_to_file
 
     if by_hand:
-        runs: list = [(DropAndDrag(arguments.material, arguments.friction, seed), {})]
+        run = DropAndDrag(arguments.material, arguments.friction, arguments.seed or 0)
+        runs: list = [(run, {})]
     else:
         runs = [run_of_the_grid(config, name) for name in arguments.simulation]
     out = [str(path) for path in arguments.out]
@@ -80,10 +57,10 @@ def simulate(arguments: Arguments) -> None:
     if len(set(out)) < len(out):
         raise BadInput("--out: names a file twice")
     failed = []
-    options = {name: getattr(arguments, name) for name in ("device", "calibration", "handed_out")}
+    given = {name: getattr(arguments, name) for name in ("device", "calibration", "handed_out")}
     for (run, ids), path in zip(runs, out, strict=True):
         try:
-            trajectory, record = simulate_to_file(config, run, ids, path, **options)
+            trajectory, record = simulate_to_file(config, run, ids, path, **given)
         except NotConverged as error:  # the others are simulated all the same
             failed.append(str(error))
             continue
@@ -99,7 +76,7 @@ def simulate(arguments: Arguments) -> None:
         raise NotConverged("; ".join(failed))
 
 
-def _configuration(arguments: Arguments, by_hand: bool):
+def _configuration(arguments: options.Arguments, by_hand: bool):
     """The configuration, then the calibration's settings, then ``--set``."""
     from slipstitch.base.provenance import load_yaml
     from slipstitch.config import load_config
