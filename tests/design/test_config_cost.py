@@ -7,7 +7,7 @@ import pytest
 
 from slipstitch.config import load_config, resolve_config
 from slipstitch.design.cost import (
-    JOB_KINDS,
+    MEMORY_MIB,
     estimate,
     estimate_captures,
     estimate_line,
@@ -57,7 +57,7 @@ def test_line_gives_jobs_time_and_disk():
 
 def test_every_stage_has_limits_for_a_scheduler():
     config = resolve_config({})
-    for name in JOB_KINDS:
+    for name in MEMORY_MIB:
         assert job_memory_mb(name) >= 512
         assert job_runtime_min(name, config) >= 15
 

@@ -10,10 +10,12 @@ from types import SimpleNamespace
 import pytest
 from support.refusal import refused
 
+from slipstitch.base.page.templates import render
 from slipstitch.cli.main import main
 from slipstitch.config import Config, write_config
+from slipstitch.design.cost import job_costs_s
 from slipstitch.report.cost import benchmarks, read_benchmark
-from slipstitch.report.page import page_context, render_page
+from slipstitch.report.page import TEMPLATE, page_context
 from slipstitch.report.results import Results
 from slipstitch.report.status import (
     Job,
@@ -23,7 +25,6 @@ from slipstitch.report.status import (
     failures,
     last_failures,
     last_lines,
-    modelled_s,
     process_birth,
     read_runs,
     status,
@@ -191,7 +192,7 @@ def test_the_report_lists_failures_and_retries(bench):
     config = Config()
     results = Results(bench.results, config)
     results.simulated = lambda: []
-    page = render_page(page_context(results, datetime.now(UTC)))
+    page = render(TEMPLATE, **page_context(results, datetime.now(UTC)))
     assert f"results/simulate/{NAMES[0]}.parquet" in page
     assert "retried" in page
 
@@ -230,11 +231,9 @@ def test_the_last_job_of_a_stage_says_the_share_of_the_run_and_the_time_left():
     progress = Progress(plan, config)
     assert progress.finished(0) is None and progress.finished(7) is None
     line = progress.finished(1)
-    simulated, evaluated = (
-        2 * modelled_s("simulate_one", config),
-        modelled_s("evaluate_all", config),
-    )
-    share = 100 * simulated / (simulated + evaluated)
+    cost_s = job_costs_s(config)
+    simulated = 2 * cost_s["simulate"]
+    share = 100 * simulated / (simulated + cost_s["evaluate"])
     assert line.startswith(f"simulate is finished: {share:.0f} % of the run, about ")
     assert line.endswith("left (1 job: evaluate)")
     assert progress.finished(2) == "evaluate is finished: 100 % of the run"

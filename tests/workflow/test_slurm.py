@@ -18,7 +18,7 @@ from support import equal_results
 from support.workflow_copy import Workflow
 
 from slipstitch.config import load_config
-from slipstitch.design.cost import JOB_KINDS, job_memory_mb, job_runtime_min
+from slipstitch.design.cost import MEMORY_MIB, job_memory_mb, job_runtime_min
 from slipstitch.report.cost import read_benchmark
 
 PROGRAMS = ("munged", "slurmctld", "slurmd", "sbatch", "squeue", "srun", "scontrol")
@@ -191,7 +191,7 @@ def test_memory_and_time_that_are_asked_for_hold_what_the_jobs_took(cluster):
             kind = KIND.get(job["rule"], job["rule"].partition("_")[0])
             largest[kind] = max(largest.get(kind, 0.0), done.memory_mib)
             assert done.wall_s < 60 * job_runtime_min(kind, config), job["output"]
-    assert set(largest) == set(JOB_KINDS)
+    assert set(largest) == set(MEMORY_MIB)
     for kind, memory_mib in largest.items():
         declared_mib = job_memory_mb(kind, config) * 1e6 / 2**20
         assert 0.15 * declared_mib < memory_mib < 0.9 * declared_mib, kind

@@ -68,7 +68,6 @@ MEMORY_MARGIN = 2.0
 SAMPLE_VIDEO_MIB = 0.07  # 742 MiB with 8280 videos, 317 with 1920
 VIDEOS_HELD = {"train": 4.2, "instrument": 3.2, "evaluate": 1.0}
 VIDEOS_MARGIN = 1.2
-JOB_KINDS = tuple(MEMORY_MIB)
 
 
 @dataclass(frozen=True)
@@ -130,9 +129,10 @@ def _instrument_frame_s(config: Config) -> float:
     return INSTRUMENT_FRAME_S * ((config.instrument.pixels or config.render.pixels) / 64) ** 2
 
 
-def _job_costs_s(config: Config, of: _Counted) -> dict[str, float]:
+def job_costs_s(config: Config) -> dict[str, float]:
     """Kind -> CPU seconds of one of its jobs, the mean where they differ."""
     render, train, sample = config.render, config.train, config.sample
+    of, ablations = _Counted(config), estimate_ablate(config)
     # Half of a frame's light does not depend on the image's size.
     light_s = RENDER_FRAME_S * (0.5 + 0.5 * (render.pixels / 112) ** 2 * render.samples)
     light_s *= 1 + of.mirrors * (MIRROR_FACTOR - 1)
@@ -158,6 +158,7 @@ def _job_costs_s(config: Config, of: _Counted) -> dict[str, float]:
         "train": passes * trained * frames * _frame_s(config),
         "instrument": instrument_frames * _instrument_frame_s(config),
         "evaluate": tested * FORWARD_SHARE * _frame_s(config),
+        "ablate": ablations.cpu_s / ablations.jobs,
         "criticise": CRITICISE_S,
         "release": RELEASE_START_S + of.videos * of.kept * RELEASE_IMAGE_S,
         "audit": AUDIT_START_S + of.videos * of.kept * AUDIT_IMAGE_S,
@@ -170,8 +171,7 @@ def estimate(config: Config) -> list[StageEstimate]:
 
     The jobs are those that Snakemake counts, without its ``all``.
     """
-    of = _Counted(config)
-    one_s = _job_costs_s(config, of)
+    of, one_s = _Counted(config), job_costs_s(config)
     image_bytes = IMAGE_BYTES * config.render.pixels**2
     trajectory = TRAJECTORY_BYTES * config.simulation.vertices_per_side**2
     splits, seeds = len(config.train.splits), len(config.instrument.seeds)
@@ -273,17 +273,9 @@ def job_memory_mb(kind: str, config: Config | None = None) -> int:
     return 256 * math.ceil(needed / 256e6)
 
 
-def job_cpu_s(kind: str, config: Config) -> float:
-    """CPU seconds of one job of `JOB_KINDS` or of the ablations, the mean where jobs differ."""
-    if kind == "ablate":
-        whole = estimate_ablate(config)
-        return whole.cpu_s / whole.jobs
-    return _job_costs_s(config, _Counted(config))[kind]
-
-
 def job_runtime_min(kind: str, config: Config) -> int:
     """Minutes after which a scheduler may end one job: five times the estimate, at least 15."""
-    return max(15, math.ceil(5 * job_cpu_s(kind, config) / 60))
+    return max(15, math.ceil(5 * job_costs_s(config)[kind] / 60))
 
 
 def _time(cpu_s: float) -> str:

@@ -4,20 +4,21 @@ import csv
 import math
 import os
 import re
+from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas
 from matplotlib.figure import Figure
 
 from slipstitch.base.page.figures import new_figure, styled, svg_uri
 from slipstitch.base.page.palette import BLUE, PALE_BLUE
 from slipstitch.base.page.wording import NONE, duration
 from slipstitch.report.results import Results, Table
-from slipstitch.report.status import end_of_file
+from slipstitch.report.status import end_of_file, failures, read_runs
 
 STAGES = (
     "calibrate", "simulate", "convergence", "render", "sample", "train", "instrument", "evaluate",
@@ -27,8 +28,7 @@ SAID_CPU_TIME = re.compile(r"(?:^CPU time: |[,:] )(\d+\.\d+) (?:CPU )?s$", re.M)
 SAID_EARLIER = re.compile(r"^wall time of earlier attempts: (\d+\.\d+) s$", re.M)
 
 
-@dataclass(frozen=True)
-class Benchmark:
+class Benchmark(NamedTuple):
     """Cost of the jobs of one stage: sums and medians of times (s), the largest memory (MiB)."""
 
     stage: str
@@ -40,8 +40,7 @@ class Benchmark:
     memory_mib: float | None
 
 
-@dataclass(frozen=True)
-class Measured:
+class Measured(NamedTuple):
     """Cost of a finished job from its benchmark file (s, MiB); NaN if it was too short."""
 
     wall_s: float
@@ -56,31 +55,19 @@ def read_benchmark(path: str | os.PathLike) -> Measured | None:
     time is the one that the verb says at the end of the log of the same name, if it does. There it
     also says what attempts took that were killed and continued, of which Snakemake knows nothing.
     """
+    path = Path(path)
     try:
         with open(path, encoding="utf-8", errors="replace") as stream:
             rows = list(csv.DictReader(stream, delimiter="\t"))
     except (OSError, csv.Error):
         return None
-    if not rows:
+    if not rows or math.isnan(wall := _number(rows[-1].get("s"))):
         return None
-    wall = _number(rows[-1].get("s"))
-    if math.isnan(wall):
-        return None
-    said = _end_of_log(Path(path))
-    cpu_s = _last(SAID_CPU_TIME, said) or _number(rows[-1].get("cpu_time"))
-    return Measured(wall + _last(SAID_EARLIER, said), cpu_s, _number(rows[-1].get("max_rss")))
-
-
-def _last(pattern: re.Pattern[str], text: str) -> float:
-    """The last number that is said in a text; 0 if none is."""
-    found = pattern.findall(text)
-    return float(found[-1]) if found else 0.0
-
-
-def _end_of_log(benchmark: Path) -> str:
-    """The end of the log beside a benchmark file, logs/STAGE/JOB.log; empty if there is none."""
-    log = benchmark.parents[2] / "logs" / benchmark.parent.name / f"{benchmark.stem}.log"
-    return end_of_file(log, 200) if log.is_file() else ""
+    log = path.parents[2] / "logs" / path.parent.name / f"{path.stem}.log"
+    end = end_of_file(log, 200) if log.is_file() else ""
+    said, earlier = ([0.0, *map(float, p.findall(end))][-1] for p in (SAID_CPU_TIME, SAID_EARLIER))
+    cpu_s = said or _number(rows[-1].get("cpu_time"))
+    return Measured(wall + earlier, cpu_s, _number(rows[-1].get("max_rss")))
 
 
 def _number(text: Any) -> float:
@@ -96,7 +83,7 @@ def benchmarks(folder: Path, job_classes: bool = False) -> list[Benchmark]:
 
     With `job_classes`, of every class of jobs that the files' names tell: ``render/shade``.
     """
-    classes: dict[tuple[int, str], list[Path]] = {}
+    classes: dict[tuple[int, str], list[Measured]] = defaultdict(list)
     for path in sorted((folder / "benchmarks").glob("*/*.tsv")):
         stage = name = path.parent.name
         if job_classes:
@@ -104,17 +91,15 @@ def benchmarks(folder: Path, job_classes: bool = False) -> list[Benchmark]:
             job = re.search(r"[a-z]+_[a-z]+(?=_seed)|^(?!by_)[a-z]+(?=_|$)", path.stem)
             name += f"/{job[0]}" if job else ""
         order = STAGES.index(stage) if stage in STAGES else len(STAGES)
-        classes.setdefault((order, name), []).append(path)
+        if cost := read_benchmark(path):
+            classes[order, name].append(cost)
     found = []
-    for (_, name), paths in sorted(classes.items()):
-        jobs = [cost for path in paths if (cost := read_benchmark(path))]
-        if jobs:
-            wall = [job.wall_s for job in jobs]
-            cpu = [job.cpu_s for job in jobs if not math.isnan(job.cpu_s)] or [math.nan]
-            memory = [job.memory_mib for job in jobs if not math.isnan(job.memory_mib)]
-            medians = float(np.median(wall)), float(np.median(cpu))
-            largest = max(memory, default=None)
-            found.append(Benchmark(name, len(wall), sum(wall), sum(cpu), *medians, largest))
+    for (_, name), jobs in sorted(classes.items()):
+        of = pandas.DataFrame(jobs)
+        sums, medians = of.sum(min_count=1), of.median()
+        memory = None if math.isnan(most := of.memory_mib.max()) else float(most)
+        times = sums.wall_s, sums.cpu_s, medians.wall_s, medians.cpu_s
+        found.append(Benchmark(name, len(of), *map(float, times), memory))
     return found
 
 
@@ -135,10 +120,10 @@ def cost_section(benchmarks: Sequence[Benchmark]) -> dict[str, Any] | None:
     }
 
 
-def failure_table(results: Results) -> Table:
+def failure_table(folder: Path) -> Table:
     """Every failed attempt at a job."""
     rows = []
-    for event, then in results.failures():
+    for event, then in failures(folder, read_runs(folder)):
         when = datetime.fromtimestamp(event.time, UTC).strftime("%Y-%m-%d %H:%M")
         made = ", ".join(event.output[:2]) + (" ..." if len(event.output) > 2 else "")
         rows.append([when, event.rule, made, ", ".join(event.log), then])
@@ -149,13 +134,13 @@ def provenance(results: Results) -> dict[str, Any]:
     """One record of each stage, the versions of the packages, the machines."""
     records = results.provenance()
     rows = []
-    versions: dict[str, set[str]] = {}
+    versions: dict[str, set[str]] = defaultdict(set)
     for artefact, record in records:
         commit = (record.get("git_commit") or "none")[:12] + "+" * bool(record.get("git_dirty"))
         seed = str(NONE if record.get("seed") is None else record["seed"])
         rows.append([artefact, commit, (record.get("code_digest") or "?")[:12], seed])
         for name, version in (record.get("versions") or {}).items():
-            versions.setdefault(name, set()).add(version)
+            versions[name].add(version)
     return {
         "table": (["artefact", "commit", "code digest", "seed"], rows),
         "versions": {name: "/".join(sorted(found)) for name, found in sorted(versions.items())},

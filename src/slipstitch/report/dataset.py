@@ -3,10 +3,9 @@
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from slipstitch.base.page.figures import data_uri, png_uri
+from slipstitch.base.page.figures import data_uri
 from slipstitch.base.page.wording import evenly
-from slipstitch.design.grid import Simulation, simulations, textures, viewpoints
-from slipstitch.design.sampled_frames import sampled_frames
+from slipstitch.design.grid import Simulation, sampled_frames, simulations, textures, viewpoints
 from slipstitch.report.physics import MOST_FRICTIONS_SHOWN
 from slipstitch.report.results import Results
 
@@ -31,7 +30,7 @@ def dataset(results: Results) -> dict[str, Any] | None:
 
     def images(one: Simulation, positions: Sequence[int], texture_id: str, view_id: str):
         row = by_name.get(f"{one.id}_{texture_id}_{view_id}")
-        return [png_uri(image) for image in (results.images(row, positions) if row else [])]
+        return [data_uri(image) for image in (results.images(row, positions) if row else [])]
 
     def cell(one: Simulation, texture_id: str = texture["id"], view_id: str = view["id"]):
         return next(iter(images(one, middle, texture_id, view_id)), None)

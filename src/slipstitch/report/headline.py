@@ -34,10 +34,7 @@ def _best(rows: Mapping[str, Mapping[str, Any]], of_probes: bool) -> str | None:
 
 
 def headline(config: Config, scores: Scores, predictions) -> dict[str, Any] | None:
-    """The best network on simulations that it never saw, beside the best probe; None without.
-
-    Return what the sentences of the first screen say, and the figure of the predictions.
-    """
+    """What the first screen says of the best network, beside the best probe; None without one."""
     for split in HELD_OUT:
         rows = scores.metrics.get(split, {})
         best, probe = _best(rows, of_probes=False), _best(rows, of_probes=True)

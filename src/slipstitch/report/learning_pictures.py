@@ -1,25 +1,15 @@
 """Figures of training and testing. Every function returns None without data."""
 
 from collections.abc import Mapping, Sequence
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
+import pandas
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from slipstitch.base.page.figures import a_few, legend_above, new_figure, styled
-from slipstitch.base.page.palette import (
-    BLUE,
-    GREEN,
-    INK,
-    INTERVAL,
-    LINE,
-    MEASURED,
-    ORANGE,
-    SERIES,
-    THEORY,
-)
+from slipstitch.base.page import palette
+from slipstitch.base.page.figures import legend_above, new_figure, styled
 from slipstitch.base.page.wording import evenly
 from slipstitch.learning.evaluation.paper import draw_cumulative
 from slipstitch.report.results import History
@@ -32,10 +22,9 @@ MOST_MARKS = 400
 def predicted_against_true(
     rows: Sequence[Mapping[str, Any]], materials: Mapping[str, str]
 ) -> Figure | None:
-    """Predicted against true friction, a mark a video with its 90 % interval.
+    """Predicted against true friction, a mark a video of one network and split with its interval.
 
-    Rows are of predictions.parquet, of one network and split; `materials` has the name of a fabric
-    by its id, as simulations are named by it.
+    `materials` has the name of a fabric by its id.
     """
     if not rows:
         return None
@@ -46,8 +35,8 @@ def predicted_against_true(
     line = np.array([low - margin, high + margin])
     figure = new_figure(5.2, 3.7)
     axes = figure.subplots()
-    axes.fill_between(line, line - 0.1, line + 0.1, color=INTERVAL, lw=0)
-    axes.plot(line, line, color=THEORY, lw=0.9)
+    axes.fill_between(line, line - 0.1, line + 0.1, color=palette.INTERVAL, lw=0)
+    axes.plot(line, line, color=palette.THEORY, lw=0.9)
     names = sorted({row["simulation"].split("_")[0] for row in rows})
     for number, name in enumerate(names):
         own = [row for row in rows if row["simulation"].split("_")[0] == name]
@@ -56,7 +45,7 @@ def predicted_against_true(
         place = np.array([row["true_value"] for row in own])
         place = place + margin * ((spread + 0.5) / len(names) - 0.5)
         predicted = np.array([row["predicted_value"] for row in own])
-        colour = SERIES[number % len(SERIES)]
+        colour = palette.SERIES[number % len(palette.SERIES)]
         limits = np.array([[row["low"], row["high"]] for row in own], float)
         for x, (lower, upper) in zip(place, limits, strict=True):
             axes.plot([x, x], [lower, upper], color=colour, lw=0.8, alpha=0.45)
@@ -68,29 +57,21 @@ def predicted_against_true(
     return figure
 
 
-def _phase_changes(epochs: Sequence[Mapping[str, Any]]) -> list[float]:
-    """Where the schedule goes over to another phase, between two epochs."""
-    return [
-        0.5 * (before["epoch"] + after["epoch"])
-        for before, after in pairwise(epochs)
-        if before.get("stage") != after.get("stage")
-    ]
-
-
 def _draw_history(axes: Axes, history: History, lines: dict[str, Any]) -> None:
     """Loss against epoch of one network; chance as a dotted line."""
-    epochs = [row["epoch"] for row in history.epochs]
-    for key, colour in (("train_loss", BLUE), ("validation_loss", MEASURED)):
-        found = [row.get(key) for row in history.epochs]
-        values = [value if isinstance(value, float) else np.nan for value in found]
+    known = ("epoch", "train_loss", "validation_loss", "chance_loss", "stage")
+    epochs = history.epochs.reindex(columns=known)
+    numbers = epochs[[*known[:-1]]].apply(pandas.to_numeric, errors="coerce")
+    for key, colour in (("train_loss", palette.BLUE), ("validation_loss", palette.MEASURED)):
         marker = "o" if len(epochs) < 40 else None
-        (line,) = axes.plot(epochs, values, lw=1.3, color=colour, marker=marker, ms=2.5)
+        style = {"lw": 1.3, "color": colour, "marker": marker, "ms": 2.5}
+        (line,) = axes.plot(numbers["epoch"], numbers[key], **style)
         lines.setdefault(key.split("_")[0].replace("train", "training"), line)
-    chance = history.epochs[0].get("chance_loss")
-    if isinstance(chance, float):
-        lines["chance"] = axes.axhline(chance, color=THEORY, lw=0.9, ls=":")
-    for where in _phase_changes(history.epochs):
-        axes.axvline(where, color=LINE, lw=0.8, zorder=0)
+    if np.isfinite(chance := numbers["chance_loss"].iloc[0]):
+        lines["chance"] = axes.axhline(chance, color=palette.THEORY, lw=0.9, ls=":")
+    changed = epochs["stage"].fillna("").ne(epochs["stage"].fillna("").shift()).iloc[1:]
+    for number in numbers["epoch"].iloc[1:][changed]:  # another phase of the schedule
+        axes.axvline(number - 0.5, color=palette.LINE, lw=0.8, zorder=0)
 
 
 @styled
@@ -122,7 +103,7 @@ def _draw_confusion(axes: Axes, counts: np.ndarray, labels: Sequence[str]) -> No
     """Counts of (true, predicted) classes; rows are true, darker is a larger share of the row."""
     shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
     axes.imshow(shares, cmap="Blues", vmin=0.0, vmax=1.0)
-    few = a_few(range(len(labels)), 8)
+    few = evenly(range(len(labels)), 8)
     names = [labels[place] for place in few]
     axes.set_xticks(few, names, fontsize=7, rotation=45 if max(map(len, names)) > 4 else 0)
     axes.set_yticks(few, names, fontsize=7)
@@ -133,7 +114,7 @@ def _draw_confusion(axes: Axes, counts: np.ndarray, labels: Sequence[str]) -> No
         for (row, column), count in np.ndenumerate(counts):
             axes.text(
                 column, row, str(count), ha="center", va="center", fontsize=8,
-                color="white" if shares[row, column] > 0.55 else INK,
+                color="white" if shares[row, column] > 0.55 else palette.INK,
             )  # fmt: skip
 
 
@@ -168,12 +149,12 @@ def confusions(details: Mapping[str, Any]) -> Figure | None:
 
 
 CURVES = {
-    "simulated test set": {"color": BLUE, "lw": 1.5},
-    "all captures": {"color": INK, "lw": 1.9},
-    "captures without reflective": {"color": GREEN, "lw": 1.3, "ls": "--"},
-    "captures, reflective only": {"color": ORANGE, "lw": 1.3, "ls": "-."},
-    "all captures, reflective training": {"color": MEASURED, "lw": 1.9, "ls": ":"},
-    "uniform guess": {"color": THEORY, "lw": 0.9, "ls": ":"},
+    "simulated test set": {"color": palette.BLUE, "lw": 1.5},
+    "all captures": {"color": palette.INK, "lw": 1.9},
+    "captures without reflective": {"color": palette.GREEN, "lw": 1.3, "ls": "--"},
+    "captures, reflective only": {"color": palette.ORANGE, "lw": 1.3, "ls": "-."},
+    "all captures, reflective training": {"color": palette.MEASURED, "lw": 1.9, "ls": ":"},
+    "uniform guess": {"color": palette.THEORY, "lw": 0.9, "ls": ":"},
 }
 
 
@@ -183,8 +164,7 @@ def cumulative(
 ) -> Figure | None:
     """Share of videos, or of pairs of captures, against the error allowed: a panel a model.
 
-    Panels have errors of shape (n,) by title and by name of a curve, one of `CURVES`;
-    `paper_shares` the paper's share of real pairs with an error of 0.1 at most, by name of a curve.
+    `paper_shares` has the paper's share of real pairs with an error of 0.1 at most, by curve.
     """
     errors = [off for curves in panels.values() for off in curves.values() if len(off)]
     if not errors:
@@ -202,7 +182,7 @@ def cumulative(
             if len(off):
                 draw_cumulative(axes, off, widest, label=name, **CURVES[name])
         for name, share in paper_shares.items() if "all captures" in curves else ():
-            axes.plot(0.1, share, "*", color=CURVES[name]["color"], ms=8, mec=INK, mew=0.4)
+            axes.plot(0.1, share, "*", color=CURVES[name]["color"], ms=8, mec=palette.INK, mew=0.4)
         axes.set(xlim=(0, widest), ylim=(0, 1.02))
         axes.set_title(title, fontsize=8.5)
         lines |= dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True))

@@ -138,7 +138,7 @@ def check_blender() -> Diagnosis:
 
 def check_warp() -> Diagnosis:
     """Whether Warp compiles and runs a kernel on the CPU."""
-    good, line = _in_a_process("-m", "slipstitch.report.warp_kernel")
+    good, line = _in_a_process("-m", __name__)
     return _met(good, "Warp", f"{line}, runs on the CPU" if good else line, "make setup")
 
 
@@ -199,3 +199,26 @@ CHECKS: tuple[Callable[[], Diagnosis], ...] = (
 def examine() -> list[Diagnosis]:
     """All checks, in the order they are shown."""
     return [check() for check in CHECKS]
+
+
+def run_a_kernel() -> None:
+    """Compile and run a Warp kernel on the CPU; print Warp's version."""
+    import warp as wp
+
+    from slipstitch.base.start import start_warp
+
+    @wp.kernel
+    def double(values: wp.array(dtype=wp.float64)):
+        i = wp.tid()
+        values[i] = wp.float64(2.0) * values[i]
+
+    start_warp()
+    array = wp.full(3, 2.0, dtype=wp.float64, device="cpu")
+    wp.launch(double, dim=3, inputs=[array], device="cpu")
+    if not (array.numpy() == 4.0).all():
+        raise SystemExit("a kernel gives wrong results")
+    print(wp.config.version)
+
+
+if __name__ == "__main__":
+    run_a_kernel()

@@ -1,7 +1,6 @@
 """The page of the report: contents of the results folder as text, tables and figures."""
 
 import os
-from collections.abc import Mapping, Sequence
 from datetime import datetime
 from itertools import pairwise
 from pathlib import Path, PurePath
@@ -26,20 +25,13 @@ from slipstitch.report.dataset import dataset, film
 from slipstitch.report.headline import headline
 from slipstitch.report.physics import convergence, physics, simulation_section
 from slipstitch.report.results import Results
+from slipstitch.report.status import read_runs
 
 TEMPLATE = Path(__file__).with_name("report.html.j2")
 
 
-def closest_frictions(frictions: Sequence[float]) -> float | None:
-    """Smallest step of a grid of friction coefficients; None if it has one only."""
-    return min((after - before for before, after in pairwise(sorted(frictions))), default=None)
-
-
 def page_context(results: Results, now: datetime) -> dict[str, Any]:
-    """Everything that the template shows.
-
-    Return an entry a section; None or empty where a stage was not run.
-    """
+    """Everything that the template shows: an entry a section, None or empty if it was not run."""
     config = results.config
     found = scores.Scores(
         results.json("evaluate", "metrics.json"), results.json("evaluate", "details.json")
@@ -53,12 +45,12 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
         "config": config,
         "config_file": data_uri(whole, "application/yaml"),
         "shards": films(config),
-        "step": closest_frictions(config.grid.frictions),
+        "step": min((b - a for a, b in pairwise(config.grid.frictions)), default=None),
         "headline": headline(config, found, predictions),
         "physics": physics(results),
         "convergence": convergence(results),
         "simulations": simulation_section(results),
-        "rendered": results.rendered(),
+        "rendered": len(results.rendered()),
         "dataset": dataset(results),
         "film": film(results),
         "networks": len(histories),
@@ -75,17 +67,17 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
         "audit": results.json("audit", "audit.json"),
         "release_preview": results.picture("release", "previews", "through_time.png"),
         "cost": cost_section(benchmarks(results.folder)),
-        "runs": len(results.runs()),
-        "failures": failure_table(results),
+        "runs": len(read_runs(results.folder)),
+        "failures": failure_table(results.folder),
         "provenance": provenance(results),
     }
 
 
 def criticism_section(results: Results) -> list[dict[str, Any]]:
-    """Verdict, picture and gain of every case that was judged: measured ones first.
+    """Verdict, picture and gain of every case that was judged.
 
-    A case with a finding stands before those without; surrogates, which are simulated with a hidden
-    effect, stand last. The first of both kinds is to be ``shown``.
+    Measured cases come first, of these the ones with a finding; the first case and the first
+    surrogate, which is simulated with a hidden effect, are to be ``shown``.
     """
     shown = []
     for name in [PurePath(case).name for case in results.config.criticise.cases]:
@@ -121,22 +113,13 @@ def _first_sentence(text: str) -> str:
     return text.partition(". ")[0].rstrip(".") + "."
 
 
-def render_page(context: Mapping[str, Any]) -> str:
-    """The page as HTML."""
-    return render(TEMPLATE, **context)
-
-
 def write_report(
     config: Config, results: str | os.PathLike, out: str | os.PathLike
 ) -> dict[str, Any]:
-    """Write the page; BadInput if there is no such folder, or a file in it cannot be read.
-
-    Stages that are missing in the results are said to be missing. Return the page's context.
-    """
+    """Write the page and return its context; BadInput if a file cannot be read."""
     started = start_clock()
     found = Results(results, config)
     context = page_context(found, time_of_making())
-    page = render_page(context)
     record = provenance_record("report", inputs=found.read, config=config, started=started)
-    write_text(out, page, record)
+    write_text(out, render(TEMPLATE, **context), record)
     return context

@@ -9,7 +9,7 @@ import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
 
-from slipstitch.base.page.figures import a_few, legend_above, new_figure, styled, svg_uri
+from slipstitch.base.page.figures import legend_above, new_figure, styled, svg_uri
 from slipstitch.base.page.palette import BLUE, FAINT, GREEN, ORANGE, PINK, SOFT, THEORY
 from slipstitch.base.page.wording import counted, evenly, quantity
 from slipstitch.design.grid import simulations
@@ -207,5 +207,5 @@ def tails(trajectories: Sequence[SimulationSummary]) -> Figure | None:
         axes.set_title(material)
     figure.supxlabel("time, s", fontsize=9)
     figure.supylabel("lower edge ahead of the clamps, mm", fontsize=9)
-    legend_above(figure, {f"µ = {one:g}": lines[one] for one in a_few(frictions)}, 6)
+    legend_above(figure, {f"µ = {one:g}": lines[one] for one in evenly(frictions)}, 6)
     return figure

@@ -5,7 +5,6 @@ import json
 import os
 import shutil
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -63,23 +62,18 @@ def finished_files(config: Config) -> dict[str, str]:
         for network, seed in trainings(config.train, split):
             folder = f"{split}/{network}/seed{seed}"
             files |= {f"train/{folder}/{file}": f"models/{folder}/{file}" for file in of_network}
-        folders: dict[str, tuple[str, ...]] = {
-            f"seed{seed}": of_instrument for seed in config.instrument.seeds
-        }
-        if len(folders) > 1:
-            folders["ensemble"] = _AVERAGE
-        for folder, names in folders.items():
-            for file in names:
-                to = f"models/{split}/instrument/{folder}/{file}"
-                files[f"instrument/{split}/{folder}/{file}"] = to
+        seeds = config.instrument.seeds
+        names = [f"seed{seed}/{file}" for seed in seeds for file in of_instrument]
+        names += [f"ensemble/{file}" for file in _AVERAGE if len(seeds) > 1]
+        for name in names:
+            files[f"instrument/{split}/{name}"] = f"models/{split}/instrument/{name}"
     return files
 
 
 def is_published(config: Config, to: str) -> bool:
-    """Whether a file of a run is published itself.
+    """Whether a file of a run is published itself: of weights those of the model that ships.
 
-    Of weights those of the model that ships are: of the average of the instruments, or of the only
-    instrument. Card, record and training curve of every other model are.
+    That is the average of the instruments, or the only one.
     """
     ships = "ensemble" if len(config.instrument.seeds) > 1 else "instrument"
     return not to.endswith(WEIGHTS) or f"/{ships}/" in to
@@ -92,25 +86,12 @@ def publish(
     partial: bool = False,
     update: bool = False,
 ) -> dict[str, Any]:
-    """Write the folder, whole or not at all.
+    """Write the folder, whole or not at all; return the content of ``published.json``.
 
-    BadInput if `out` holds anything else, or results; if the run is not finished, without
-    `partial`; if there is nothing of it; if a file is damaged; if the scores are of other models or
-    of another dataset; with `update` if `out` is of another run. Return the content of
-    ``published.json``: ``name``, ``partial``, ``missing`` and SHA-256 of every file.
-
-    Parameters
-    ----------
-    config : Config
-        What the results were made with.
-    out : path
-        Absent, empty, or a folder that was published before and is replaced.
-    partial : bool
-        Publish an unfinished run; the index names what it lacks: files, and scores of models that
-        were trained after the evaluation.
-    update : bool
-        Keep what the folder has and the results have no longer, as images' digests whose files were
-        deleted since: of the same dataset and configuration.
+    That is ``name``, ``partial``, ``missing`` and the SHA-256 of every file. BadInput if `out`
+    holds anything else than an earlier run, if the run is not finished, without `partial`, if a
+    file is damaged, or if the scores are of other models or another dataset. With `update`, `out`
+    keeps what the results of the same dataset and configuration have no longer.
     """
     started = start_clock()
     found, out = Results(results, config), Path(out)
@@ -131,7 +112,7 @@ def publish(
     with atomic_path(out) as folder:
         record = provenance_record("publish", inputs=there.values(), config=config, started=started)
         write_json(folder / "config.json", config.model_dump(mode="json"))
-        costs = [asdict(cost) for cost in benchmarks(found.folder, job_classes=True)]
+        costs = [cost._asdict() for cost in benchmarks(found.folder, job_classes=True)]
         write_json(folder / "cost.json", json.loads(json.dumps(costs).replace("NaN", "null")))
         if solved := list(_simulations(found)):
             pandas.DataFrame(solved).to_csv(folder / "simulations.csv", index=False)

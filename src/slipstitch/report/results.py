@@ -1,16 +1,14 @@
 """Reading a results folder, complete or not."""
 
-import csv
 import io
-import math
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import pandas
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.page.figures import data_uri
@@ -27,42 +25,33 @@ from slipstitch.dataset.videos import read_frames
 from slipstitch.design.grid import Simulation, simulations
 from slipstitch.design.trainable import trainings
 from slipstitch.physics.simulation.trajectory import read_trajectory
-from slipstitch.report.status import Event, Run, failures, read_runs
 
 Rows = list[dict[str, Any]]
 Table = tuple[list[str], list[list[str]]]  # headings, cells as they are shown
 
 
-@dataclass(frozen=True)
-class SimulationSummary:
-    """The content of the report on one simulation: times (s), and the line down the cloth's middle.
-
-    `centre_m`, of shape (frames, n, 2), runs from the upper to the lower edge: x relative to the
-    clamps, and height, in m.
-    """
+class SimulationSummary(NamedTuple):
+    """Of one simulation: times (s), and the line down the cloth's middle, from the upper edge."""
 
     simulation: Simulation
     time_s: np.ndarray
-    stage_z_m: np.ndarray
-    centre_m: np.ndarray
+    centre_m: np.ndarray  # (frames, n, 2): x relative to the clamps, and height
 
 
-@dataclass(frozen=True)
-class History:
-    """Training curve of one network."""
+class History(NamedTuple):
+    """Training curve of one network, a row an epoch."""
 
     split: str
     network: str
     seed: int
-    epochs: Rows = field(repr=False)
+    epochs: pandas.DataFrame
 
 
 class Results:
     """A results folder. Everything is read when asked for; what is not there is None or empty.
 
-    The configuration says what the folder is to hold. `read` has the results that were read so far;
-    what is known of the runs themselves (journal, logs, costs) does not count. BadInput if there is
-    no such folder; later, if a file in it cannot be read.
+    `read` has the results that were read so far; journal, logs and costs do not count. BadInput if
+    there is no such folder; later, if a file in it cannot be read.
     """
 
     def __init__(self, folder: str | os.PathLike, config: Config):
@@ -140,11 +129,11 @@ class Results:
             line = line[np.argsort(run.uv[line, 1], kind="stable")]
             centre = run.positions_m[:, line][:, :, [0, 2]].astype(float)
             centre[:, :, 0] -= run.stage_x_m[:, None]
-            yield SimulationSummary(simulation, run.time_s, run.stage_z_m, centre)
+            yield SimulationSummary(simulation, run.time_s, centre)
 
-    def rendered(self) -> int:
-        """Number of image shards."""
-        return len(list((self.folder / "render").glob("m*_v*.parquet")))
+    def rendered(self) -> list[Path]:
+        """The image shards."""
+        return sorted((self.folder / "render").glob("m*_v*.parquet"))
 
     def manifest(self) -> Rows | None:
         """Rows of the dataset's manifest."""
@@ -177,12 +166,11 @@ class Results:
             if content is None:
                 continue
             try:
-                rows = list(csv.DictReader(io.StringIO(content.decode())))
+                epochs = pandas.read_csv(io.BytesIO(content))
             except ValueError as error:
                 raise BadInput(f"{path}: not a training history: {error}") from None
-            epochs = [{key: _number(row[key]) for key in row if key is not None} for row in rows]
             found.append(History(split, network, seed, epochs))
-        return [history for history in found if history.epochs]
+        return [history for history in found if len(history.epochs)]
 
     def predictions(self) -> Rows | None:
         """Rows of predictions.parquet."""
@@ -208,21 +196,13 @@ class Results:
             weights.append({inputs[name] for name in inputs if name.endswith(".safetensors")})
         return not weights[0] <= weights[1]
 
-    def runs(self) -> list[Run]:
-        """Runs of the workflow that left a journal, the last one last."""
-        return read_runs(self.folder)
-
-    def failures(self) -> list[tuple[Event, str]]:
-        """Every failed attempt at a job, the oldest first, and what became of the job."""
-        return failures(self.folder, self.runs())
-
     def provenance(self) -> list[tuple[str, dict[str, Any]]]:
         """One record of each stage, with the artefact that carries it."""
         models = [folder / "model.safetensors" for folder, *_ in self._trainings()]
         candidates = [
             self.folder / "calibrate" / "calibration.json",
             *map(self.simulation_path, self.simulated()[:1]),
-            *sorted((self.folder / "render").glob("m*_v*.parquet"))[:1],
+            *self.rendered()[:1],
             self.folder / "sample" / "manifest.parquet",
             *[path for path in models if path.exists()][:1],
             self.folder / "evaluate" / "metrics.json",
@@ -233,12 +213,3 @@ class Results:
                 found.append((str(path.relative_to(self.folder)), read_provenance(path)))
                 self.read.add(path)
         return found
-
-
-def _number(text: Any) -> Any:
-    """A cell of a history as a number; None if not finite, as it is if no number."""
-    try:
-        value = float(text)
-    except (TypeError, ValueError):
-        return text
-    return value if math.isfinite(value) else None

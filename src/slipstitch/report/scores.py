@@ -50,10 +50,7 @@ def _shares(network: str) -> list[Metric]:
 
 
 class Scores:
-    """The scores of a run, by test set, network, metric and viewpoint.
-
-    Of the contents of metrics.json and details.json.
-    """
+    """The scores of a run, in metrics.json and details.json."""
 
     def __init__(self, metrics: Mapping[str, Any] | None, details: Mapping[str, Any] | None):
         self.metrics = metrics or {}
@@ -62,8 +59,7 @@ class Scores:
     def detail(self, test_set: str, network: str, viewpoint: str | None = None) -> dict[str, Any]:
         """Entry of details.json of a network, or of its videos from a viewpoint; empty without.
 
-        In the calibrated view, and in those turned from it, that of the fine-tuned network where
-        the one before fine-tuning has an entry of its own.
+        In the calibrated view, and in those turned from it, of the fine-tuned network, if any.
         """
         of_set = self.details.get(test_set, {})
         found = of_set.get(network) or {}
@@ -94,10 +90,9 @@ def beside_paper(
     quoted: Mapping[tuple[str, str], float],
     videos: int,
 ) -> Table | None:
-    """The paper's shares beside ours; None if nothing of the first column was run.
+    """The paper's shares, `quoted` by network and metric, beside ours; None if nothing was run.
 
-    Columns are headings by test set and viewpoint, None for all; those that were not run are left
-    out. `quoted` has the paper's figures by network and metric, of so many `videos`.
+    Columns that were run have headings, by test set and viewpoint, None for all.
     """
     shown = [
         key for key in columns if any(scores.detail(key[0], one, key[1]) for one in NETWORK_TITLES)

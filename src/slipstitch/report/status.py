@@ -5,6 +5,7 @@ parsed. Only the main process writes, from the first job's start on: a dry run, 
 nothing to do, leaves no trace.
 """
 
+import contextlib
 import json
 import logging
 import os
@@ -23,7 +24,7 @@ from slipstitch.base.errors import BadInput
 from slipstitch.base.page.wording import aligned, counted, duration
 from slipstitch.base.provenance import write_json
 from slipstitch.config import Config
-from slipstitch.design.cost import JOB_KINDS, job_cpu_s
+from slipstitch.design.cost import job_costs_s
 
 FOLDER = Path("results/status")
 PLAN = "plan.json"
@@ -50,7 +51,7 @@ class Job(BaseModel, strict=True):
 
     @property
     def stage(self) -> str:
-        """The folder below results/ that contains the output."""
+        """The folder below ``results``."""
         parts = Path(self.output[0]).parts
         return parts[1] if len(parts) > 2 or (len(parts) == 2 and "." not in parts[1]) else "grid"
 
@@ -145,10 +146,7 @@ def _kind(record: Any) -> str | None:
 
 
 class Journal(logging.Handler):
-    """Writes plan and events of one run; a handler of Snakemake's logger.
-
-    Its folder is relative to the working folder when the first job starts.
-    """
+    """Writes plan and events of one run; a handler of Snakemake's logger."""
 
     def __init__(self, folder: str | os.PathLike = FOLDER):
         super().__init__()
@@ -182,17 +180,11 @@ class Journal(logging.Handler):
 
     def _write(self, event: str, **what: Any) -> None:
         line = json.dumps({"event": event, "time": round(time.time(), 3), **what})
-        try:
-            with open(self._folder / EVENTS, "a", encoding="utf-8") as stream:
-                stream.write(line + "\n")
-        except OSError as error:  # a full disk must not turn logging into a failure
-            logging.getLogger(__name__).debug("journal: %s", error)
-
-
-def modelled_s(rule: str, config: Config) -> float:
-    """Return the modelled CPU time (s) of one job of a rule; a second where there is no model."""
-    kind = KIND.get(rule, rule.partition("_")[0])
-    return job_cpu_s(kind, config) if kind in JOB_KINDS else 1.0
+        with (
+            contextlib.suppress(OSError),  # a full disk must not turn logging into a failure
+            open(self._folder / EVENTS, "a", encoding="utf-8") as stream,
+        ):
+            stream.write(line + "\n")
 
 
 class Progress(logging.Handler):
@@ -204,8 +196,9 @@ class Progress(logging.Handler):
     def __init__(self, plan: Sequence[Job], config: Config):
         super().__init__()
         self._jobs = {job.id: job for job in plan if job.needed}
-        of_rule = {rule: modelled_s(rule, config) for rule in {job.rule for job in plan}}
-        self._cost_s = {number: of_rule[job.rule] for number, job in self._jobs.items()}
+        of_kind = job_costs_s(config)
+        kinds = {n: KIND.get(j.rule, j.rule.partition("_")[0]) for n, j in self._jobs.items()}
+        self._cost_s = {number: of_kind.get(kind, 1.0) for number, kind in kinds.items()}
         self._started_s = time.monotonic()
         self._done_s = 0.0
 
@@ -261,17 +254,6 @@ def read_runs(folder: str | os.PathLike) -> list[Run]:
             if event.event == "failed":
                 runs[-1].failed.append(event)
     return runs
-
-
-def read_plan(folder: str | os.PathLike) -> list[Job]:
-    """The jobs of the last run; empty if there was none, BadInput if they cannot be read."""
-    path = Path(folder) / "status" / PLAN
-    try:
-        return Plan.model_validate_json(path.read_bytes()).jobs
-    except FileNotFoundError:
-        return []
-    except (OSError, ValidationError):
-        raise BadInput(f"{path}: damaged; the next run of snakemake regenerates it") from None
 
 
 def failures(folder: str | os.PathLike, runs: Sequence[Run]) -> list[tuple[Event, str]]:
@@ -373,9 +355,13 @@ def status(folder: str | Path, log_lines: int) -> tuple[str, bool]:
     plan is damaged.
     """
     folder = Path(folder)
-    runs, plan = read_runs(folder), read_plan(folder)
-    if not runs or not plan:
+    runs, path = read_runs(folder), folder / "status" / PLAN
+    if not runs or not path.exists():
         return f"{folder}: no snakemake run has started a job here.", False
+    try:
+        plan = Plan.model_validate_json(path.read_bytes()).jobs
+    except (OSError, ValidationError):
+        raise BadInput(f"{path}: damaged; the next run of snakemake regenerates it") from None
     run, found = runs[-1], failures(folder, runs)
     standing = [event for event, then in found if then == "not completed"]
     lines = _described(folder, standing, log_lines)
