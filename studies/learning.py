@@ -20,8 +20,7 @@ import numpy as np
 import torch
 from support import synthetic_videos
 
-from slipstitch.config.instrument import InstrumentSettings
-from slipstitch.config.train import TrainSettings
+from slipstitch.config.train import InstrumentSettings, TrainSettings
 from slipstitch.learning.instrument.network import InstrumentNetwork
 from slipstitch.learning.instrument.training import losses, training_views
 from slipstitch.learning.lrcn import LRCN

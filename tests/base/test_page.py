@@ -5,17 +5,9 @@ import re
 import pytest
 
 from slipstitch.base.page import palette
-from slipstitch.base.page.figures import (
-    a_few,
-    new_figure,
-    plain_text,
-    styled,
-    svg,
-    svg_element,
-    svg_uri,
-)
+from slipstitch.base.page.figures import new_figure, plain_text, styled, svg, svg_element, svg_uri
 from slipstitch.base.page.templates import render
-from slipstitch.base.page.wording import breaking, percent, size, span, with_interval
+from slipstitch.base.page.wording import breaking, evenly, percent, size, span, with_interval
 from slipstitch.learning.evaluation.metrics import METRICS
 
 
@@ -63,8 +55,10 @@ def test_a_page_of_the_base_has_the_palettes_colours(tmp_path):
     (tmp_path / "own.html.j2").write_text(text)
     page = render(tmp_path / "own.html.j2")
     assert f"--ink: {palette.INK};" in page
-    used = set(re.findall(r"var\(--([a-z]+)\)", page))
-    assert used <= set(palette.STYLE_SHEET)
+    used, stated = (
+        set(re.findall(rf"{name}", page)) for name in (r"var\(--([a-z-]+)\)", r"--([a-z-]+):")
+    )
+    assert used <= stated and f"--good: {palette.GOOD};" in page
 
 
 def test_every_metric_is_listed_once():
@@ -74,6 +68,6 @@ def test_every_metric_is_listed_once():
 
 
 def test_a_legend_names_few_entries_of_an_ordered_scale_and_both_ends():
-    assert a_few([0.1, 0.3]) == [0.1, 0.3]
-    shown = a_few([f"{value / 10:g}" for value in range(16)])
+    assert evenly([0.1, 0.3]) == [0.1, 0.3]
+    shown = evenly([f"{value / 10:g}" for value in range(16)])
     assert shown == ["0", "0.3", "0.6", "0.9", "1.2", "1.5"]

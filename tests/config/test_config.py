@@ -92,7 +92,7 @@ BAD = {
     "colour: red": "colour: unknown key; known: seed, grid, simulation",
     "grid: {frictions: [0.3, -0.1]}": "grid.frictions.1: must be at least 0, not -0.1",
     "grid: {frictions: [0.3, 0.3004]}": "grid.frictions: must be a multiple of 0.001",
-    "grid: {frictions: []}": "grid.frictions: must have at least 1 entries",
+    "grid: {frictions: []}": "grid.frictions: must have at least 1 item, not 0",
     "grid: {frictions: 0.3}": "grid.frictions: must be a list, not 0.3",
     "grid: {frictions: [0.3, 0.1]}": "grid.frictions: friction coefficients must increase",
     "grid: {frictions: [.nan]}": "grid.frictions.0: must be a finite number",

@@ -21,8 +21,7 @@ from slipstitch.config import resolve_config, write_config
 from slipstitch.config.train import REFLECTIVE
 from slipstitch.dataset.dataset import write_dataset
 from slipstitch.dataset.videos import read_videos, takes_part
-from slipstitch.design.grid import simulations
-from slipstitch.design.sampled_frames import sampled_frames
+from slipstitch.design.grid import sampled_frames, simulations
 from slipstitch.design.splits import (
     check_no_simulation_on_both_sides,
     sides_of_simulations,

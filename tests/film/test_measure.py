@@ -205,7 +205,7 @@ def test_a_result_that_cannot_be_written_is_not_lost(bench, tmp_path, capsys, mo
     assert measure(bench, f"--json {tmp_path}/x.json") == 1
     told = capsys.readouterr()
     assert told.out.startswith("friction 0.")
-    assert "no space left on the disk" in told.err
+    assert "no space left on device" in told.err
 
 
 @pytest.mark.parametrize(

@@ -19,9 +19,8 @@ from slipstitch.cli.main import main
 from slipstitch.config import resolve_config
 from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.design import interpolation
-from slipstitch.design.grid import simulations
+from slipstitch.design.grid import sampled_frames, simulations
 from slipstitch.design.interpolation import interpolations
-from slipstitch.design.sampled_frames import sampled_frames
 from slipstitch.images import image_shards
 from slipstitch.images import view as view_module
 from slipstitch.images.camera import pose

@@ -7,7 +7,7 @@ import pytest
 
 from slipstitch.base.errors import BadInput
 from slipstitch.config import resolve_config
-from slipstitch.config.ablate import QUESTIONS, AblateSettings
+from slipstitch.config.train import QUESTIONS, AblateSettings
 from slipstitch.dataset.videos import ROLES
 from slipstitch.learning.ablation.questions import QUESTIONS as ASKED
 from slipstitch.learning.ablation.questions import selected

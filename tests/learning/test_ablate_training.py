@@ -9,7 +9,7 @@ from support.refusal import refused, run
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import read_sidecar
 from slipstitch.config import write_config
-from slipstitch.config.ablate import VARIANTS
+from slipstitch.config.train import VARIANTS
 from slipstitch.learning.ablation.questions import QUESTIONS
 from slipstitch.learning.ablation.run import Case, lrcn_settings, phases, run_case
 from slipstitch.learning.lrcn import load_model

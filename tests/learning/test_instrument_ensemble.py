@@ -14,7 +14,7 @@ from support.refusal import refused, run
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import file_digest, read_metadata, read_sidecar
 from slipstitch.config import write_config
-from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.config.train import InstrumentSettings
 from slipstitch.dataset.videos import read_videos
 from slipstitch.learning.evaluation.metrics import covered
 from slipstitch.learning.evaluation.trained import Trained

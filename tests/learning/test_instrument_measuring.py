@@ -12,7 +12,7 @@ from safetensors.torch import load_file, save_file
 from support.models import untrained_instrument
 
 from slipstitch.base.errors import BadInput
-from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.config.train import InstrumentSettings
 from slipstitch.dataset.videos import Videos
 from slipstitch.learning.evaluation.metrics import covered
 from slipstitch.learning.instrument.augmentation import (

@@ -12,7 +12,7 @@ from support.refusal import run
 
 from slipstitch.base.errors import BadInput
 from slipstitch.config import write_config
-from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.config.train import InstrumentSettings
 from slipstitch.learning.instrument.augmentation import disordered, phased
 from slipstitch.learning.instrument.measuring import load_instrument
 from slipstitch.learning.instrument.network import (

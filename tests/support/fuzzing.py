@@ -36,7 +36,7 @@ from slipstitch.dataset.manifest import read_manifest
 from slipstitch.dataset.release.assembly import write_release
 from slipstitch.dataset.release.records import read_artefact
 from slipstitch.dataset.videos import read_shard, read_videos
-from slipstitch.design.sampled_frames import sampled_frames
+from slipstitch.design.grid import sampled_frames
 from slipstitch.film import board
 from slipstitch.film.captures_table import read_captures, read_references
 from slipstitch.film.slip_angles import estimate, read_angles

@@ -5,7 +5,7 @@ from pathlib import Path
 import torch
 
 from slipstitch.config import Config
-from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.config.train import InstrumentSettings
 from slipstitch.dataset.videos import Videos, read_videos
 from slipstitch.design.trainable import trainings
 from slipstitch.learning.instrument.measuring import Instrument

@@ -74,7 +74,7 @@ def test_a_disk_that_fills_up_during_a_run_and_is_emptied_again(undisturbed, ref
         target.symlink_to(disk)
         answer = undisturbed.snakemake("simulate")
         assert answer.returncode == 1
-        assert "no space left on the disk" in answer.stderr
+        assert "no space left on device" in answer.stderr
         assert "Finished work is kept: fix the cause and repeat the command" in answer.stderr
         target.unlink()
         kept.rename(target)

@@ -41,43 +41,25 @@ def first_line(error: BaseException) -> str:
 
 
 # What the machine refuses, whatever the program: told in one line, without a traceback.
-_OF_THE_MACHINE = {
-    errno.ENOSPC: "no space left on the disk",
-    errno.EDQUOT: "the disk quota is exceeded",
-    errno.EFBIG: "the file would exceed the size limit",
-    errno.EROFS: "the file system is read-only",
-    errno.EACCES: "permission denied",
-    errno.EPERM: "not permitted",
-    errno.EIO: "disk I/O error",
-    errno.EMFILE: "too many open files",
-    errno.ENOMEM: "out of memory",
-    errno.ENAMETOOLONG: "file name too long",
-}
+_OF_THE_MACHINE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.ENAMETOOLONG}
+_OF_THE_MACHINE |= {errno.EACCES, errno.EPERM, errno.EIO, errno.EMFILE, errno.ENOMEM}
 # The words of libraries whose exceptions have no code.
-_WORDS_OF_THE_MACHINE = {
-    "No space left on device": errno.ENOSPC,
-    "os error 28": errno.ENOSPC,
-    "can't allocate memory": errno.ENOMEM,
-    "failed to allocate": errno.ENOMEM,
-    "bad_alloc": errno.ENOMEM,
-    "Cannot allocate memory": errno.ENOMEM,
-    "Insufficient memory": errno.ENOMEM,
-}
+_OF_DISK = ("no space left on device", "os error 28")
+_OF_MEMORY = ("allocate memory", "failed to allocate", "bad_alloc", "insufficient memory")
 
 
 def refused_by_the_machine(error: BaseException) -> str | None:
     """The failure of the machine (disk, memory, permission) that caused an error, if any."""
+    words = str(error).lower()
     code = error.errno if isinstance(error, OSError) else None
-    if isinstance(error, MemoryError):
+    if isinstance(error, MemoryError) or any(text in words for text in _OF_MEMORY):
         code = errno.ENOMEM
-    if code not in _OF_THE_MACHINE:
-        words = str(error).lower()
-        found = (known for text, known in _WORDS_OF_THE_MACHINE.items() if text.lower() in words)
-        code = next(found, None)
-    if code is None:
+    elif any(text in words for text in _OF_DISK):
+        code = errno.ENOSPC
+    if code is None or code not in _OF_THE_MACHINE:
         return None
     path = getattr(error, "filename", None)
-    words = _OF_THE_MACHINE[code] + (f": {path}" if path else "")
+    words = os.strerror(code).lower() + (f": {path}" if path else "")
     if f"{os.sep}.cache" in str(path) and "XDG_CACHE_HOME" not in os.environ:
         words += " (set XDG_CACHE_HOME to a folder that can be written)"
     return words

@@ -4,8 +4,6 @@ Read is what can mean one thing only, and a note says what was assumed; what is 
 in one line that says how to export it.
 """
 
-from __future__ import annotations
-
 import csv
 import io
 import os

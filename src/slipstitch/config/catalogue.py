@@ -123,15 +123,8 @@ def catalogue_entries(
     viewpoints = list(viewpoints)
     seen = sorted({"calibrated", *viewpoints}) if viewpoints else []
     entries: dict[str, dict[str, Any]] = {
-        "viewpoints": {name: _plain(VIEWPOINTS.get(name)) for name in seen},
+        "viewpoints": {name: VIEWPOINTS.get(name) for name in seen},
         "textures": {name: TEXTURES.get(name) for name in sorted(textures)},
-        "floors": {name: _plain(FLOORS.get(name)) for name in sorted(floors)},
+        "floors": {name: FLOORS.get(name) for name in sorted(floors)},
     }
-    return {kind: of_kind for kind, of_kind in entries.items() if of_kind}
-
-
-def _plain(entry: Viewpoint | Floor | None) -> dict[str, Any] | None:
-    if entry is None:
-        return None
-    values = asdict(entry).items()
-    return {key: list(value) if isinstance(value, tuple) else value for key, value in values}
+    return json.loads(json.dumps({kind: of for kind, of in entries.items() if of}, default=asdict))

@@ -1,5 +1,6 @@
 """Reading configurations: files are merged key by key and checked, errors reported in one line."""
 
+import contextlib
 import difflib
 import json
 import os
@@ -8,12 +9,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pydantic import BaseModel, ValidationError
+from pydantic import ValidationError
 
 from slipstitch.base.errors import BadInput, Damaged
 from slipstitch.base.provenance.files import atomic_path, load_yaml, read_json, read_yaml
-from slipstitch.config.former import FormerKeyError, without_former_keys
 from slipstitch.config.model import Config
+from slipstitch.config.section import FormerKeyError, without_former_keys
 
 # YAML 1.1 reads 1e-3 as a string, because it wants a point in the mantissa and a sign; here it is
 # the number that everybody means.
@@ -70,40 +71,27 @@ def _numbers(value: Any, words: bool = False) -> Any:
     if isinstance(value, list | tuple):
         return [_numbers(item, words) for item in value]
     if isinstance(value, str) and words:
-        read = _word(value)
-        value = read if isinstance(read, bool | int | float) or read is None else value
+        with contextlib.suppress(BadInput):  # a word that is no YAML stays as it is
+            read = load_yaml(value, "word")
+            value = read if isinstance(read, bool | int | float) or read is None else value
     if isinstance(value, str) and _SCIENTIFIC.fullmatch(value):
         return float(value)
     return value
 
 
-def _word(text: str) -> Any:
-    """A word as YAML reads it; the word itself where that makes no sense."""
-    try:
-        return load_yaml(text, "word")
-    except BadInput:
-        return text
-
-
 def _kind(value: Any) -> str:
-    if value is None:
-        return "nothing"
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, Mapping):
-        return "a mapping"
-    if isinstance(value, list | tuple):
-        return "a list"
-    return repr(value)
+    if value is None or isinstance(value, bool):
+        return {None: "nothing", True: "true", False: "false"}[value]
+    return {dict: "a mapping", list: "a list"}.get(type(value), repr(value))
 
 
-def _model_at(location: tuple) -> type[BaseModel] | None:
-    """The section of the configuration that holds the key `location`."""
+def _known_beside(location: tuple) -> list[str]:
+    """The keys of the section of the configuration that holds the key `location`."""
     model: Any = Config
     for key in location[:-1]:
         field = getattr(model, "model_fields", {}).get(key)
         model = field.annotation if field else None
-    return model if isinstance(model, type) and issubclass(model, BaseModel) else None
+    return list(getattr(model, "model_fields", ()))
 
 
 def _holds(mapping: Any, location: tuple) -> bool:
@@ -115,25 +103,20 @@ def _holds(mapping: Any, location: tuple) -> bool:
     return True
 
 
-_MESSAGES = {
-    "bool_type": "must be true or false",
-    "dict_type": "must be a mapping of keys",
-    "finite_number": "must be a finite number",
-    "float_type": "must be a number",
-    "greater_than": "must be greater than {gt:g}",
-    "greater_than_equal": "must be at least {ge:g}",
-    "int_from_float": "must be a whole number",
-    "int_type": "must be a whole number",
-    "less_than": "must be less than {lt:g}",
-    "less_than_equal": "must be at most {le:g}",
-    "list_type": "must be a list",
-    "literal_error": "must be {expected}",
-    "missing": "is missing",
-    "model_type": "must be a mapping of keys",
-    "string_type": "must be a string",
-    "too_long": "has {actual_length} entries; at most {max_length} are allowed",
-    "too_short": "must have at least {min_length} entries",
-    "tuple_type": "must be a list",
+# Pydantic's words of JSON -> those of who writes YAML.
+_WORDS = {
+    "Input should be": "must be",
+    "List should": "must",
+    "Tuple should": "must",
+    "a valid array": "a list",
+    "a valid boolean": "true or false",
+    "a valid integer": "a whole number",
+    "an object": "a mapping of keys",
+    "a valid": "a",
+    "greater than or equal to": "at least",
+    "less than or equal to": "at most",
+    "Field required": "is missing",
+    " after validation": "",
 }
 
 
@@ -142,18 +125,17 @@ def _line(error: Mapping[str, Any]) -> str:
     location = error["loc"]
     name = ".".join(map(str, location)) or "configuration"
     if error["type"] == "extra_forbidden":
-        model = _model_at(location)
-        known = list(model.model_fields) if model else []
+        known = _known_beside(location)
         close = difflib.get_close_matches(str(location[-1]), known, n=1)
         hint = f"did you mean {close[0]}?" if close else f"known: {', '.join(known)}"
         return f"{name}: unknown key; {hint}"
     if error["type"] in ("value_error", "assertion_error"):
         return f"{name}: {error['ctx']['error']}" if location else str(error["ctx"]["error"])
-    template = _MESSAGES.get(error["type"])
-    message = template.format(**error.get("ctx", {})) if template else error["msg"]
-    if error["type"] in ("missing", "too_short", "too_long"):
-        return f"{name}: {message}"
-    return f"{name}: {message}, not {_kind(error['input'])}"
+    message = error["msg"]
+    for theirs, ours in _WORDS.items():
+        message = message.replace(theirs, ours)
+    given = "" if error["type"] in ("missing", "too_short", "too_long") else _kind(error["input"])
+    return f"{name}: {message}" + (given and f", not {given}")
 
 
 def resolve_config(

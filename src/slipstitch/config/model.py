@@ -1,20 +1,17 @@
 """The configuration as a type, composed of sections in separate files."""
 
 import json
-from collections.abc import Sequence
 
 from pydantic import Field, model_validator
 
-from slipstitch.config.ablate import AblateSettings
-from slipstitch.config.captures import CaptureSettings
 from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.config.dataset import (
+    CaptureSettings,
     CriticiseSettings,
     PublishSettings,
     ReleaseSettings,
     SampleSettings,
 )
-from slipstitch.config.instrument import InstrumentSettings
 from slipstitch.config.render import RenderSettings
 from slipstitch.config.section import Section
 from slipstitch.config.simulation import (
@@ -24,7 +21,13 @@ from slipstitch.config.simulation import (
     GridSettings,
     SimulationSettings,
 )
-from slipstitch.config.train import BY_SIMULATION, REFLECTIVE, TrainSettings
+from slipstitch.config.train import (
+    BY_SIMULATION,
+    REFLECTIVE,
+    AblateSettings,
+    InstrumentSettings,
+    TrainSettings,
+)
 
 
 class Config(Section):
@@ -59,7 +62,9 @@ class Config(Section):
             ("train_only_frictions", "frictions", "test"),
         ):
             apart, whole = getattr(self.sample, key), getattr(self.grid, kind)
-            _check_among(f"sample.{key}", apart, f"grid.{kind}", whole)
+            if others := [value for value in apart if value not in whole]:
+                known = ", ".join(map(str, whole))
+                raise ValueError(f"sample.{key}: {others[0]} is not in grid.{kind} ({known})")
             if set(apart) == set(whole):
                 raise ValueError(
                     f"sample.{key}: has all of grid.{kind}; at least one must be left to {purpose}"
@@ -96,20 +101,6 @@ class Config(Section):
                 f"{drawn[0]!r} (render.viewpoints) is another camera in every simulation, which "
                 f"would tell its coefficient; allowed is {BY_SIMULATION!r} alone"
             )
-
-
-def _check_among(
-    key: str, values: Sequence[str | float], allowed: str, whole: Sequence[str | float]
-) -> None:
-    """Refuse a value of one key that another does not have."""
-    for value in values:
-        if value not in whole:
-            said = repr(value) if isinstance(value, str) else _word(value)
-            raise ValueError(f"{key}: {said} is not in {allowed} ({', '.join(map(_word, whole))})")
-
-
-def _word(value: str | float) -> str:
-    return value if isinstance(value, str) else f"{value:g}"
 
 
 def schema_text() -> str:

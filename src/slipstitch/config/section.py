@@ -1,13 +1,56 @@
-"""Common parts of the sections of the configuration. Pydantic and the standard library only."""
+"""Common parts of the sections of the configuration, and its former keys.
 
-from collections.abc import Callable, Collection
+A former key became a constant beside its use: files and records that name one with the value of the
+constant are still accepted. Pydantic and the standard library only.
+"""
+
+import json
+from collections.abc import Callable, Collection, Mapping
 from itertools import pairwise
+from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
 from pydantic import AfterValidator, BaseModel, ConfigDict, Field, model_validator
 
 from slipstitch.config.catalogue import fabric_names
-from slipstitch.config.former import without_former_keys
+
+#: Section -> key -> the value of the constant.
+FORMER_KEYS: dict[str, dict[str, Any]] = json.loads(
+    Path(__file__).with_name("former_keys.json").read_text(encoding="utf-8")
+)
+#: Sections of which every key is a former one.
+FORMER_SECTIONS = ("evaluate",)
+
+
+def without_former_keys(section: str, values: Any) -> Any:
+    """Return the values of a section, and of sections in it, without former keys.
+
+    FormerKeyError if a former key has another value than the constant that it became. `section` is
+    its name, e.g. ``render``, empty for the whole configuration; values that are no mapping are
+    returned as they are.
+    """
+    if not isinstance(values, Mapping):
+        return values
+    former = FORMER_KEYS.get(section, {})
+    kept = {}
+    for key, value in values.items():
+        name = f"{section}.{key}" if section else key
+        if key not in former:
+            inner = without_former_keys(name, value)
+            if name not in FORMER_SECTIONS or inner:
+                kept[key] = inner
+        elif json.loads(json.dumps(value)) != former[key]:
+            raise FormerKeyError(name, former[key], value)
+    return kept
+
+
+class FormerKeyError(ValueError):
+    """A former key with another value than the constant that it became."""
+
+    def __init__(self, name: str, fixed: Any, given: Any):
+        fixed, given = json.dumps(fixed), json.dumps(given)
+        super().__init__(f"{name}: no longer a key; it is always {fixed}, not {given}")
+        self.location = tuple(name.split("."))
 
 
 class Section(BaseModel):

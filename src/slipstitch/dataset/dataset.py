@@ -23,9 +23,8 @@ from slipstitch.dataset.videos import (
     simulations_of,
     write_frames,
 )
-from slipstitch.design.grid import simulations
+from slipstitch.design.grid import sampled_frames, simulations
 from slipstitch.design.interpolation import interpolations
-from slipstitch.design.sampled_frames import sampled_frames
 from slipstitch.images.camera import POSE
 from slipstitch.images.surroundings import MATTE
 

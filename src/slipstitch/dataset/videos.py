@@ -24,7 +24,7 @@ from slipstitch.base.errors import BadInput, Damaged
 from slipstitch.base.provenance import check_image, read_metadata, read_parquet, write_parquet
 from slipstitch.config.train import REFLECTIVE
 from slipstitch.dataset.manifest import read_manifest
-from slipstitch.design.sampled_frames import sampled_frames
+from slipstitch.design.grid import sampled_frames
 from slipstitch.images.camera import KEYPOINTS_UV
 
 COLUMNS = ("simulation", "texture", "viewpoint", "frame", "time_s", "stage_x_m", "image")

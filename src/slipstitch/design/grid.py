@@ -12,6 +12,8 @@ import re
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance.record import provenance_record, start_clock, write_parquet
 from slipstitch.config.catalogue import VIEWPOINTS, fabric_names
@@ -280,3 +282,23 @@ def write_grid(config: Config, path: str | os.PathLike) -> None:
     keys = config.model_dump(mode="json", include={"seed", "grid", "render"})
     record = provenance_record("grid", config=keys, seed=config.seed, started=started)
     write_parquet(pa.Table.from_pylist(grid_rows(config), schema=schema), path, record=record)
+
+
+def sampled_frames(frames_total: int, frames_sampled: int) -> np.ndarray:
+    """Numbers of the frames at regular intervals, the first frame included.
+
+    Frame k of n sampled is ``floor(k frames_total / n)``: where n divides the total (the paper's 30
+    of 300) the interval is exactly regular, otherwise it differs by one frame at most. BadInput if
+    a number is not positive or more frames are asked for than there are.
+
+    Returns
+    -------
+    ndarray of int64, shape (frames_sampled,)
+        Strictly increasing, starts with 0.
+    """
+    if not 1 <= frames_sampled <= frames_total:
+        raise BadInput(
+            f"{frames_sampled} frames cannot be sampled of {frames_total}: "
+            "must be at least 1 and at most the number of frames"
+        )
+    return np.arange(frames_sampled, dtype=np.int64) * frames_total // frames_sampled

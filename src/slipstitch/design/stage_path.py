@@ -1,7 +1,5 @@
 """The cloth and the path of the stage that carries its clamps (the paper, Sec. 4.1)."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

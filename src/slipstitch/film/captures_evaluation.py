@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from slipstitch.base.errors import BadInput
-from slipstitch.base.page.figures import new_figure, png_uri, styled, svg_uri
+from slipstitch.base.page.figures import data_uri, new_figure, styled, svg_uri
 from slipstitch.base.page.palette import INK, SERIES
 from slipstitch.base.page.templates import render
 from slipstitch.base.page.wording import evenly, number, seeds_in_words
@@ -229,5 +229,5 @@ def _strip(dataset: Path, row: Mapping[str, Any]) -> dict[str, Any]:
     mirrors = ", reflective" if row["reflective"] else ""
     return {
         "title": f"{row['material']} on {row['substrate']}, µ = {reference}{mirrors}",
-        "images": [png_uri(image) for image in evenly(images, _FRAMES_SHOWN)],
+        "images": [data_uri(image) for image in evenly(images, _FRAMES_SHOWN)],
     }

@@ -7,7 +7,7 @@ import numpy as np
 from slipstitch.config.dataset import SampleSettings
 from slipstitch.config.render import RenderSettings
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.design.sampled_frames import sampled_frames
+from slipstitch.design.grid import sampled_frames
 from slipstitch.design.stage_path import SIDE_M, StagePath
 from slipstitch.images.calibrated_view import CalibratedView, viewpoint_pose
 

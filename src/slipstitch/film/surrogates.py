@@ -24,8 +24,8 @@ from slipstitch.base.provenance import (
     write_sidecar,
 )
 from slipstitch.config import Config
-from slipstitch.config.captures import CaptureSettings, PairSettings
 from slipstitch.config.catalogue import FLOORS
+from slipstitch.config.dataset import CaptureSettings, PairSettings
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.design.grid import simulation_seed
 from slipstitch.images.calibrated_view import viewpoint_pose

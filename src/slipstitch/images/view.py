@@ -17,9 +17,15 @@ from slipstitch.base.provenance import provenance_record
 from slipstitch.config import Config
 from slipstitch.config.catalogue import VIEWPOINTS, catalogue_entries
 from slipstitch.config.render import RenderSettings
-from slipstitch.design.grid import films, floors_of, is_reflective, texture_ids, viewpoint_ids
+from slipstitch.design.grid import (
+    films,
+    floors_of,
+    is_reflective,
+    sampled_frames,
+    texture_ids,
+    viewpoint_ids,
+)
 from slipstitch.design.interpolation import Interpolation, interpolations
-from slipstitch.design.sampled_frames import sampled_frames
 from slipstitch.images.calibrated_view import (
     BenchCamera,
     CalibratedView,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 import warp as wp
 
-from slipstitch.base.warp_start import start_warp
+from slipstitch.base.start import start_warp
 from slipstitch.images.camera import Camera
 
 start_warp()

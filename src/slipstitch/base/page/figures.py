@@ -6,11 +6,10 @@ import html
 import io
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 import matplotlib
-import numpy as np
 
 matplotlib.use("Agg")
 
@@ -55,12 +54,6 @@ def styled(function):
 def plain_text(words: str) -> str:
     """Words from outside, as a file's name, for a figure: dollars in them begin no formula."""
     return words.replace("$", r"\$")
-
-
-def a_few(entries: Sequence[Any], most: int = 6) -> list[Any]:
-    """Entries of an ordered scale for a legend: all, or evenly spread ones with both ends."""
-    places = np.linspace(0, len(entries) - 1, min(most, len(entries))).round().astype(int)
-    return [entries[place] for place in places]
 
 
 def new_figure(width: float, height: float) -> Figure:
@@ -108,7 +101,7 @@ def save_figure(
         )
 
 
-def data_uri(content: bytes | str, kind: str) -> str:
+def data_uri(content: bytes | str, kind: str = "image/png") -> str:
     """A picture as a ``data:`` address, so that a page needs no other file."""
     raw = content.encode() if isinstance(content, str) else content
     return f"data:{kind};base64,{base64.b64encode(raw).decode()}"
@@ -119,8 +112,3 @@ def svg_uri(content: Figure | str | None) -> str | None:
     if content is None:
         return None
     return data_uri(svg(content) if isinstance(content, Figure) else content, "image/svg+xml")
-
-
-def png_uri(content: bytes) -> str:
-    """The bytes of a PNG as a ``data:`` address."""
-    return data_uri(content, "image/png")

@@ -114,11 +114,8 @@ def shortened(text: str, most: int) -> str:
     return text if len(text) <= most else f"{text[: most - 3]}..."
 
 
-def evenly(items: Sequence[Any], most: int) -> list[Any]:
-    """At most that many items, evenly from first to last.
-
-    That must be at least 2 if there are more items.
-    """
+def evenly(items: Sequence[Any], most: int = 6) -> list[Any]:
+    """At most that many items, 2 at least, evenly spread with both ends."""
     if len(items) <= most:
         return list(items)
     return [items[round(index * (len(items) - 1) / (most - 1))] for index in range(most)]

@@ -50,14 +50,7 @@ STAGES: dict[str, tuple[str, ...]] = {
 }
 
 # Modules that decide which values reach a stage, or write down what happened.
-NOT_COUNTED = (
-    "cli",
-    "config",
-    "base.errors",
-    "base.progress",
-    "base.provenance",
-    "base.warp_start",
-)
+NOT_COUNTED = ("cli", "config", "base.errors", "base.progress", "base.provenance", "base.start")
 # Tables whose entries are compared one by one, as parameters of the rules that use them.
 QUOTED = ("fabrics.json", "convergence.json")
 # Module -> the package whose version changes the results of a stage that imports the module.

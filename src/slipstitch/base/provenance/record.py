@@ -16,14 +16,8 @@ from typing import Any
 
 from slipstitch import __version__
 from slipstitch.base.project import PACKAGE
+from slipstitch.base.provenance import files
 from slipstitch.base.provenance.code import code_digest, installed_version
-from slipstitch.base.provenance.files import (
-    SIDECAR_SUFFIX,
-    atomic_path,
-    file_digest,
-    open_parquet,
-    record_beside,
-)
 
 METADATA_KEY = b"slipstitch"
 DIGEST_KEY = b"slipstitch_sha256"
@@ -164,7 +158,7 @@ def provenance_record(
     commit, dirty = _git()
     return {
         "stage": stage,
-        "inputs": {_shown(path): file_digest(path) for path in sorted(map(str, inputs))},
+        "inputs": {_shown(path): files.file_digest(path) for path in sorted(map(str, inputs))},
         "config": _plain(config) if config is not None else {},
         "code_digest": code_digest(stage),
         "git_commit": commit,
@@ -183,13 +177,13 @@ def write_sidecar(path: str | os.PathLike, record: Mapping[str, Any]) -> None:
     The file's SHA-256 is noted in it, so that whoever reads the file sees damage to it.
     """
     if Path(path).is_file():
-        record = {**record, "sha256": file_digest(path)}
-    write_json(f"{os.fspath(path)}{SIDECAR_SUFFIX}", _plain(record))
+        record = {**record, "sha256": files.file_digest(path)}
+    write_json(f"{os.fspath(path)}{files.SIDECAR_SUFFIX}", _plain(record))
 
 
 def write_text(path: str | os.PathLike, text: str, record: Mapping[str, Any] | None = None) -> None:
     """Write a text file, whole or not at all, and `record` beside it if there is one."""
-    with atomic_path(path) as temporary:
+    with files.atomic_path(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
     if record is not None:
         write_sidecar(path, record)
@@ -206,16 +200,16 @@ def write_json(
 @contextlib.contextmanager
 def recorded_path(path: str | os.PathLike, record: Mapping[str, Any]) -> Iterator[Path]:
     """As `atomic_path`; afterwards `record` is written beside the file."""
-    with atomic_path(path) as temporary:
+    with files.atomic_path(path) as temporary:
         yield temporary
     write_sidecar(path, record)
 
 
 def read_sidecar(path: str | os.PathLike) -> dict[str, Any]:
     """The record beside the file `path`; FileNotFoundError without one, Damaged if none."""
-    record = record_beside(path)
+    record = files.record_beside(path)
     if record is None:
-        raise FileNotFoundError(f"{os.fspath(path)}{SIDECAR_SUFFIX}")
+        raise FileNotFoundError(f"{os.fspath(path)}{files.SIDECAR_SUFFIX}")
     record.pop("sha256", None)  # of the file, not of its origin
     return record
 
@@ -254,7 +248,7 @@ def write_parquet(
     import pyarrow.parquet
 
     whole = attach_metadata(table, metadata or {}, record)
-    with atomic_path(path) as temporary, open(temporary, "wb") as stream:
+    with files.atomic_path(path) as temporary, open(temporary, "wb") as stream:
         pyarrow.parquet.write_table(whole, stream, **{**WRITE_OPTIONS, **options})
 
 
@@ -287,7 +281,7 @@ def parquet_stream(path: str | os.PathLike, schema, **options: Any) -> Iterator[
     options = {**WRITE_OPTIONS, **options}
     # Arrow's own copy of the schema is left out: it would hide metadata that is added at the end.
     with (
-        atomic_path(path) as temporary,
+        files.atomic_path(path) as temporary,
         open(temporary, "wb") as stream,
         pyarrow.parquet.ParquetWriter(stream, schema, store_schema=False, **options) as writer,
     ):
@@ -305,7 +299,7 @@ def read_metadata(source) -> dict[str, Any]:
         If the object is not as it was written.
     """
     if isinstance(source, str | os.PathLike):
-        with open_parquet(source) as file:
+        with files.open_parquet(source) as file:
             return read_metadata(file.schema_arrow)
     keys = getattr(source, "schema", source).metadata or {}
     text = keys.get(METADATA_KEY, b"{}")

@@ -45,7 +45,7 @@ from slipstitch.dataset.release.records import (
     is_ours,
     record_file,
 )
-from slipstitch.design.sampled_frames import sampled_frames
+from slipstitch.design.grid import sampled_frames
 from slipstitch.design.stage_path import StagePath
 from slipstitch.physics.fabric import fabric_digest
 from slipstitch.physics.simulation.convergence import MEASURED, study_digest

@@ -12,7 +12,7 @@ from slipstitch.base.errors import BadInput, Damaged
 from slipstitch.base.provenance import file_digest
 from slipstitch.config import Config, load_config
 from slipstitch.config.train import REFLECTIVE
-from slipstitch.design.sampled_frames import sampled_frames
+from slipstitch.design.grid import sampled_frames
 from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.measure import SHIPPED
 from slipstitch.film.measure.clamp_height import ASSUMED_M, READING_PER_M, ClampHeight, SeenClamps

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 from matplotlib.figure import Figure
 
-from slipstitch.base.page.figures import new_figure, plain_text, png_uri, styled, svg_element
+from slipstitch.base.page.figures import data_uri, new_figure, plain_text, styled, svg_element
 from slipstitch.base.page.palette import BLUE, FRAME, INK, INTERVAL, SOFT, VERMILION
 from slipstitch.base.page.templates import render
 from slipstitch.base.page.wording import number, percent, span
@@ -97,7 +97,7 @@ def _enlarged(image: np.ndarray, keypoints_px: np.ndarray | None) -> str:
             continue
         centre = round(16 * float(x)), round(16 * float(y))  # in sixteenths of a pixel
         cv2.circle(large, centre, 2 * 16, _RING, 1, cv2.LINE_AA, 4)
-    return png_uri(encode_png(large))
+    return data_uri(encode_png(large))
 
 
 @styled

@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 
 from slipstitch.base.errors import BadInput
-from slipstitch.config.ablate import VARIANTS, AblateSettings
+from slipstitch.config.train import VARIANTS, AblateSettings
 from slipstitch.dataset.videos import takes_part
 
 Row = dict[str, Any]

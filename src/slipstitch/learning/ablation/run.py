@@ -8,8 +8,7 @@ from typing import Any
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import provenance_record, start_clock, write_json
 from slipstitch.config import Config
-from slipstitch.config.instrument import InstrumentSettings
-from slipstitch.config.train import TrainSettings
+from slipstitch.config.train import InstrumentSettings, TrainSettings
 from slipstitch.dataset.manifest import MANIFEST, read_manifest
 from slipstitch.dataset.videos import read_videos
 from slipstitch.design.trainable import view_order

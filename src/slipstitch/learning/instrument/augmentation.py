@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.config.train import InstrumentSettings
 
 BLUR_PX = 0.7  # largest standard deviation
 NOISE = 0.1  # largest, in standard deviations of the video

@@ -12,8 +12,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from scipy.special import ndtri, softmax
 
 from slipstitch.base.errors import BadInput, first_line
-from slipstitch.config.instrument import InstrumentSettings
-from slipstitch.config.train import split_of
+from slipstitch.config.train import InstrumentSettings, split_of
 from slipstitch.dataset.videos import Videos, resized
 from slipstitch.images.camera import POSE
 from slipstitch.learning.instrument.alarm import Alarm

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor, nn
 
 from slipstitch.base.errors import BadInput
-from slipstitch.config.instrument import InstrumentSettings
+from slipstitch.config.train import InstrumentSettings
 from slipstitch.dataset.videos import Videos
 from slipstitch.images.camera import KEYPOINTS_UV, POSE
 from slipstitch.learning.instrument.distribution import friction_grid

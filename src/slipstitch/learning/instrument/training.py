@@ -12,8 +12,7 @@ from torch import Tensor
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import start_clock
-from slipstitch.config.instrument import InstrumentSettings
-from slipstitch.config.train import REFLECTIVE
+from slipstitch.config.train import REFLECTIVE, InstrumentSettings
 from slipstitch.dataset.videos import Videos
 from slipstitch.learning.instrument.augmentation import (
     augmented,
