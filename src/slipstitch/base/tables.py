@@ -9,8 +9,8 @@ import io
 import os
 import re
 from collections.abc import Collection, Iterable
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -32,19 +32,14 @@ _UNIT_WORDS = (
 UNITS = frozenset(_UNIT_WORDS.split())
 
 
-@dataclass(frozen=True)
-class Cells:
-    """The cells of a table as text, without what is empty.
-
-    `lines` has the number of each row's line in the file, `units` the unit of each column, '' where
-    no row of units says any, `notes` what was assumed, a line each.
-    """
+class Cells(NamedTuple):
+    """The cells of a table as text, without what is empty."""
 
     header: list[str]
     rows: list[list[str]]
-    lines: list[int]
-    units: list[str]
-    notes: tuple[str, ...] = ()
+    lines: list[int]  # number of each row's line in the file
+    units: list[str]  # of each column, '' where no row of units says any
+    notes: tuple[str, ...] = ()  # what was assumed
 
 
 def as_number(text: str) -> float:
@@ -55,11 +50,9 @@ def as_number(text: str) -> float:
 
 
 def read_cells(path: str | os.PathLike, known: Collection[str], most_bytes: float) -> Cells:
-    """Read a table in whichever dialect it is written.
+    """Read a table in whichever dialect it is written; BadInput if it may be read in two ways.
 
-    BadInput if the file is no table, or may be read in two ways. `known` names columns that it may
-    have: they tell the header from titles, and the separator. A file of more than `most_bytes` is
-    refused.
+    `known` names columns that it may have: they tell the header from titles, and the separator.
     """
     text, notes = _decoded(path, most_bytes)
     separator, start, first = _separator(text, known)
@@ -229,10 +222,7 @@ def in_radians(slip_angles: Iterable[float]) -> bool:
 
 
 def directions_in_radians(directions: Iterable[float]) -> bool:
-    """Say whether directions, stated in degrees, must be radians: multiples of 45 degrees in them.
-
-    Some must not be 0, and none may be beyond a turn.
-    """
+    """Say whether directions, stated in degrees, must be radians: multiples of 45 degrees."""
     angles = np.asarray(list(directions), float)
     angles = np.abs(angles[np.isfinite(angles)])
     turned = angles[angles > 0]

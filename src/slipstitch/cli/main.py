@@ -85,10 +85,7 @@ def _one_line(error: BaseException | str) -> str:
 
 
 def _refuse_tight_memory() -> None:
-    """Refuse to work in less address space than the libraries require.
-
-    Otherwise OpenBLAS would retry a failed allocation for ever.
-    """
+    """Refuse less address space than the libraries require: OpenBLAS would retry for ever."""
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
     if limit != resource.RLIM_INFINITY and limit < LEAST_ADDRESS_SPACE:
         raise SlipstitchError(
@@ -119,12 +116,10 @@ def _run(words: list[str]) -> int:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """Run one verb.
+    """Run one verb, by default that of the process.
 
-    Its words are those after ``slipstitch``; those of the process by default. Return 0 for success,
-    2 for bad input, 3 for an alarm, 1 for anything else. Unexpected exceptions are raised: their
-    traceback reports a bug. Errors of the machine (disk, memory, permission) are reported in one
-    line, too.
+    Return 0 for success, 2 for bad input, 3 for an alarm, 1 for anything else. Unexpected
+    exceptions are raised, but for errors of the machine (disk, memory, permission).
     """
     for stream in (sys.stdout, sys.stderr):  # file names may not be valid text
         if hasattr(stream, "reconfigure"):

@@ -22,10 +22,7 @@ _SCIENTIFIC = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+")
 
 
 def read_mapping(path: str | os.PathLike) -> dict[str, Any]:
-    """The content of a YAML or JSON file as a mapping.
-
-    BadInput if the file is missing, is no YAML, or holds no mapping.
-    """
+    """The content of a YAML or JSON file as a mapping; BadInput if it holds none."""
     content = read_yaml(path)
     if content is None:
         return {}
@@ -35,10 +32,7 @@ def read_mapping(path: str | os.PathLike) -> dict[str, Any]:
 
 
 def calibrated_settings(path: str | os.PathLike) -> dict[str, Any]:
-    """Settings of simulations that a calibration has verified.
-
-    BadInput if the file is missing, damaged, or no calibration.
-    """
+    """Settings of simulations that a calibration has verified; BadInput if it is none."""
     content = read_json(path)
     settings = content.get("settings") if isinstance(content, dict) else None
     if not isinstance(settings, dict):
@@ -143,10 +137,8 @@ def resolve_config(
 ) -> Config:
     """The configuration that mappings make, later ones overriding earlier ones key by key.
 
-    Mappings are as read from YAML or JSON; keys that none holds have their default. `sources` names
-    the mappings, to say in an error where a key stands; with `words`, numbers may come as strings:
-    ``snakemake --config`` makes them so. BadInput in one line, for every problem: the source, the
-    key, what is allowed and what it is.
+    `sources` names them in errors: BadInput in one line, for every problem the source, the key,
+    what is allowed and what it is. With `words`, numbers may come as strings, as of ``--config``.
     """
     plain = [_numbers(mapping, words) for mapping in mappings]
     merged: dict[str, Any] = {}
@@ -188,9 +180,8 @@ def load_config(
 ) -> Config:
     """The configuration in YAML or JSON files, later ones overriding earlier ones key by key.
 
-    The verified settings of a calibration override those of the files, and `overrides` all that, by
-    the name that an error shall say. BadInput as `read_mapping` and `resolve_config`, where `words`
-    is explained.
+    The verified settings of a calibration override the files, and `overrides`, by the name that an
+    error shall say, all that; see `resolve_config`.
     """
     parts: list[tuple[str, Mapping]] = [(os.fspath(path), read_mapping(path)) for path in paths]
     if calibration:
@@ -202,10 +193,7 @@ def load_config(
 
 
 def write_config(config: Config, path: str | os.PathLike) -> bool:
-    """Write the whole configuration as JSON; touch the file only if its content changes.
-
-    Return whether the file was written.
-    """
+    """Write the whole configuration as JSON if the file's content changes; return whether."""
     text = json.dumps(config.model_dump(mode="json"), indent=1) + "\n"
     target = Path(path)
     if target.is_file() and target.read_text(encoding="utf-8") == text:

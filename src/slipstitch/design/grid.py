@@ -65,10 +65,9 @@ def friction_id(friction: float) -> str:
 def simulation_seed(seed: int, bench: str, replicate: int) -> int:
     """Seed of the bench of one simulation (clamps, curl, fabric), in [0, 2^31).
 
-    A hash of the parameters of the bench, not of its position in the grid: adding a material or a
-    replicate leaves the others as they are. The friction coefficient is no part of it: the bench,
-    named by its material, is the same at every coefficient (common random numbers), so that nothing
-    but contact tells them apart. With `GridSettings.own_benches` the coefficient is in its name.
+    A hash of what the bench is, not of its place in the grid. The bench is the same at every
+    friction coefficient, so that nothing but contact tells them apart; with
+    `GridSettings.own_benches` the coefficient is in its name.
     """
     return int.from_bytes(_digest(seed, bench, replicate)[:4], "big") & 0x7FFFFFFF
 
@@ -85,26 +84,6 @@ def bench_of(simulation: str) -> str:
 def simulations(config: Config) -> list[Simulation]:
     """The simulations of the grid, material by material, friction by friction.
 
-    Those for testing only come last.
-    """
-    own, ideal = config.grid.own_benches, config.simulation.ideal_replicates
-    return [
-        Simulation(
-            **place,
-            seed=simulation_seed(
-                config.seed,
-                place["material"]
-                + (f" {place['friction_id']}" if own and replicate >= ideal else ""),
-                replicate,
-            ),
-        )
-        for place, replicate in _places(config)
-    ]
-
-
-def _places(config: Config) -> list[tuple[dict[str, Any], int]]:
-    """Every `Simulation` but for its seed, and its replicate; by material, then friction.
-
     Those for testing only, one a pair, come last: every material at the coefficients off the grid,
     then every fabric that no network trains on, at the grid's.
     """
@@ -115,24 +94,22 @@ def _places(config: Config) -> list[tuple[dict[str, Any], int]]:
         (grid.test_materials, "test", grid.frictions, "train", 1),
     )
     return [
-        (
-            {
-                "id": f"{material_id(material)}_{friction_id(friction)}_r{r:02d}",
-                "material_id": material_id(material),
-                "friction_id": friction_id(friction),
-                "replicate_id": f"r{r:02d}",
-                "material": material,
-                "friction": friction,
-                "material_role": material_role,
-                "friction_role": friction_role,
-            },
-            r,
-        )
+        _simulation(config, material, friction, replicate, material_role, friction_role)
         for materials, material_role, frictions, friction_role, replicates in parts
         for material in materials
         for friction in frictions
-        for r in range(replicates)
+        for replicate in range(replicates)
     ]
+
+
+def _simulation(
+    config: Config, material: str, friction: float, replicate: int, *roles: str
+) -> Simulation:
+    ids = material_id(material), friction_id(friction), f"r{replicate:02d}"
+    is_own = config.grid.own_benches and replicate >= config.simulation.ideal_replicates
+    bench = f"{material} {ids[1]}" if is_own else material
+    seed = simulation_seed(config.seed, bench, replicate)
+    return Simulation("_".join(ids), *ids, material, friction, seed, *roles)
 
 
 def find_simulation(config: Config, name: str) -> Simulation:
@@ -171,21 +148,17 @@ def floors_of(render: RenderSettings, viewpoint_id: str) -> list[str]:
 
 def textures(config: Config) -> list[dict[str, str]]:
     """Textures as ``{id, name, role}``: those of training (role train), then of testing (test)."""
+    trained = config.render.textures
     return [
-        {"id": identity, "name": name, "role": role}
-        for (identity, name), role in zip(
-            texture_ids(config.render).items(),
-            ["train"] * len(config.render.textures) + ["test"] * len(config.render.test_textures),
-            strict=True,
-        )
+        {"id": identity, "name": name, "role": "train" if name in trained else "test"}
+        for identity, name in texture_ids(config.render).items()
     ]
 
 
 def viewpoints(config: Config) -> list[dict[str, str]]:
     """Viewpoints as ``{id, name, role, floor_role}``: of training, then of testing.
 
-    Those of training come once more in the end, with the floor for testing only, where there are
-    reflective floors: networks trained on the others have not seen them.
+    Where there are reflective floors, those of training come once more, the floor for testing.
     """
     render = config.render
     return [
@@ -208,14 +181,14 @@ def films(config: Config) -> dict[tuple[str, str], dict[str, str]]:
     render = config.render
     names = texture_ids(render)
     trained = {identity: names[identity] for identity in list(names)[: len(render.textures)]}
-    grid = [place for place, _ in _places(config)]
+    grid = simulations(config)
     result: dict[tuple[str, str], dict[str, str]] = {}
     for view in viewpoints(config):
         if view["role"] == "test" and render.test_viewpoint_videos is not None:
             every = [
-                (simulation["id"], texture)
+                (simulation.id, texture)
                 for simulation in grid
-                if "test" not in (simulation["material_role"], simulation["friction_role"])
+                if "test" not in (simulation.material_role, simulation.friction_role)
                 for texture in trained
             ]
             every.sort(key=lambda one: _digest(config.seed, view["name"], one[0], names[one[1]]))
@@ -223,7 +196,7 @@ def films(config: Config) -> dict[tuple[str, str], dict[str, str]]:
                 result.setdefault((simulation, view["id"]), {})[texture] = names[texture]
         else:
             textures = trained if view["floor_role"] == "test" else names
-            result |= {(simulation["id"], view["id"]): textures for simulation in grid}
+            result |= {(simulation.id, view["id"]): textures for simulation in grid}
     return result
 
 
@@ -232,12 +205,9 @@ def _digest(*words: object) -> bytes:
 
 
 def grid_rows(config: Config) -> list[dict]:
-    """Rows of ``grid.parquet``.
+    """Rows of ``grid.parquet``: kind, id, name, value (coefficient, azimuth, number), roles.
 
-    Keys are ``kind`` (material, friction, replicate, texture, viewpoint, simulation), ``id``,
-    ``name``, ``value`` (friction coefficient; azimuth in degrees of a viewpoint; replicate number;
-    NaN if none), ``role`` and ``floor_role`` (train or test), and for simulations ``material_id,
-    friction_id, replicate_id, material, friction, seed`` (else None).
+    Simulations have ``material_id, friction_id, replicate_id, material, friction, seed``, too.
     """
     rows: list[dict[str, Any]] = [
         {"kind": "material", "id": material_id(name), "name": name}
@@ -257,13 +227,8 @@ def grid_rows(config: Config) -> list[dict]:
         for view in viewpoints(config)
     ]
     rows += [
-        {
-            "kind": "simulation",
-            "name": simulation.id,
-            "value": simulation.friction,
-            **asdict(simulation),
-        }
-        for simulation in simulations(config)
+        {"kind": "simulation", "name": one.id, "value": one.friction, **asdict(one)}
+        for one in simulations(config)
     ]
     return [{"role": "train", "floor_role": "train", "value": math.nan, **row} for row in rows]
 
@@ -285,17 +250,7 @@ def write_grid(config: Config, path: str | os.PathLike) -> None:
 
 
 def sampled_frames(frames_total: int, frames_sampled: int) -> np.ndarray:
-    """Numbers of the frames at regular intervals, the first frame included.
-
-    Frame k of n sampled is ``floor(k frames_total / n)``: where n divides the total (the paper's 30
-    of 300) the interval is exactly regular, otherwise it differs by one frame at most. BadInput if
-    a number is not positive or more frames are asked for than there are.
-
-    Returns
-    -------
-    ndarray of int64, shape (frames_sampled,)
-        Strictly increasing, starts with 0.
-    """
+    """Numbers (int64) of frames at regular intervals from 0 on: ``floor(k total / sampled)``."""
     if not 1 <= frames_sampled <= frames_total:
         raise BadInput(
             f"{frames_sampled} frames cannot be sampled of {frames_total}: "

@@ -46,8 +46,7 @@ def interpolations(config: Config) -> dict[tuple[str, str], Interpolation]:
 
     Of every camera of the family ``bench_1`` ... and every simulation that trains, from
     `FROM_FRICTION` on, a share. The coefficient is drawn between the middles of the intervals to
-    the next coefficients at which the simulation's fabric trains, so that the films of a fabric
-    cover all from its first to its last. BadInput if the grid has no valid split.
+    the next ones at which the fabric trains, so that its films cover all of them.
     """
     settings = config.render.interpolation
     family = [
@@ -85,10 +84,9 @@ def filmed_friction(simulation: Simulation, shown: Interpolation | None) -> floa
 
 
 def between(row: Sequence[Simulation], friction: float, height_m: float) -> dict[str, float]:
-    """Weights of the two simulations of a row on either side of a coefficient; or of one at it.
+    """Weights of the two simulations of a fabric on either side of a coefficient; or of one at it.
 
-    The row is of one fabric, by friction coefficient, all below to above `friction`; the height is
-    of the clamps while the cloth is dragged.
+    The height is that of the clamps while the cloth is dragged.
     """
     for below, above in itertools.pairwise(row):
         if friction <= above.friction:

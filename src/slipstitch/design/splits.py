@@ -26,17 +26,7 @@ SIDES = ("train", "validation", "test")
 def split_by_video(
     videos: Sequence[str], validation_fraction: float, test_fraction: float, seed: int
 ) -> dict[str, str]:
-    """Every video's side, drawn at random; BadInput with fewer than two videos.
-
-    Return by video id train, validation or test.
-
-    Parameters
-    ----------
-    videos : sequence of str
-        Ids; their order does not matter.
-    validation_fraction, test_fraction : float
-        Shares of the videos, rounded; at least one video tests and one trains.
-    """
+    """Every video's side, drawn at random; at least one video tests and one trains."""
     if len(videos) < 2:
         raise BadInput(f"{len(videos)} video(s): a split by video requires at least 2")
     tests = min(max(1, round(len(videos) * test_fraction)), len(videos) - 1)
@@ -92,24 +82,12 @@ def split_by_simulation(
 ) -> dict[tuple[str, str, str], str]:
     """Every simulation's side; no class goes untrained, no friction is tested more than another.
 
-    With replicates, the last ones of every (material, friction) pair are held out (they differ by
-    seeded perturbations only, so which ones does not matter): every pair trains and is tested on an
-    independently set-up bench. Otherwise, whole pairs are held out, in diagonals of the table of
-    materials and frictions: the network has seen each, never both together. They are divided
-    between validation and test for each friction separately, cycling through the materials.
-    BadInput if holding out would leave a material or a friction coefficient without training.
-    Return by the simulation's triple train, validation or test.
-
-    Parameters
-    ----------
-    simulations : iterable of (material_id, friction_id, replicate_id)
-    validation_fraction, test_fraction : float
-        Shares of the replicates (or materials) of each pair (or friction); rounded, at least one
-        is held out and at least one trains.
-    seed : int
-        Where the rounds of the materials start.
-    hold_out : {"auto", "replicate", "pair"}
-        "auto": replicates if every pair has two at least.
+    With replicates (auto: if every pair has two at least), the last ones of every (material,
+    friction) pair are held out: every pair trains and is tested on an independently set-up bench.
+    Otherwise, whole pairs are held out, in diagonals of the table of materials and frictions: the
+    network has seen each, never both together. They are divided between validation and test for
+    each friction separately, cycling through the materials from one that the seed gives. Of shares
+    at least one is held out and one trains; BadInput if a class would be left without training.
     """
     everything = sorted(set(simulations))
     materials = sorted({material for material, _, _ in everything})
@@ -144,11 +122,7 @@ def split_by_simulation(
 def _held_pool(
     replicates: Mapping[str, Sequence[str]], row: int, first: int, fraction: float, hold_out: str
 ) -> list[list[tuple[str, str]]]:
-    """Groups of (material, replicate) that one friction coefficient holds out, in turn.
-
-    `replicates` has those of each material at the coefficient, number `row` of all; the rounds of
-    the materials start at `first`; `fraction` is held out, of whole pairs or replicates.
-    """
+    """Groups of (material, replicate) that friction coefficient number `row` holds out, in turn."""
     materials = list(replicates)
     held = _held(len(materials), fraction) if hold_out == "pair" else len(materials)
     turn = first + row * (held if hold_out == "pair" else 1)
@@ -187,10 +161,7 @@ def _held(count: int, fraction: float) -> int:
 
 
 def check_no_simulation_on_both_sides(simulations: Sequence[str], sides: Sequence[str]) -> None:
-    """Refuse a split that tests (or validates) on a simulation that it trains on.
-
-    The error names the first such simulation.
-    """
+    """Refuse a split that tests (or validates) on a simulation that it trains on."""
     found: dict[str, set[str]] = defaultdict(set)
     for simulation, side in zip(simulations, sides, strict=True):
         found[simulation].add(side)

@@ -41,19 +41,13 @@ def trainings(train: TrainSettings, trained_on: str) -> list[tuple[str, int]]:
 
 
 def view_order(config: Config) -> list[str]:
-    """Viewpoints of the training, by name, in the order in which it takes them up.
-
-    The first is the calibrated view, which networks are fine-tuned for.
-    """
+    """Viewpoints of the training by name, in its order; the first is the calibrated view."""
     own = [name for name in config.render.viewpoints if not VIEWPOINTS[name].drawn]
     return own or list(config.render.viewpoints)
 
 
 def instrument_views(config: Config) -> list[str]:
-    """Viewpoints that the instrument learns from, by name.
-
-    BadInput if one of them is not rectified to the calibrated view, or is there for testing only.
-    """
+    """Viewpoints that the instrument learns from, by name; BadInput if it cannot from one."""
     calibrated = view_order(config)[0]
     for name in config.instrument.viewpoints or ():
         if name not in config.render.viewpoints or not (
@@ -67,10 +61,7 @@ def instrument_views(config: Config) -> list[str]:
 
 
 def check_networks_can_train(config: Config) -> None:
-    """Refuse a grid that leaves a network without classes to tell apart.
-
-    BadInput with a single fabric or friction coefficient, or a fabric that never trains.
-    """
+    """Refuse a grid that leaves a network without classes to tell apart."""
     _enough(config, "materials", "the material network")
     _enough(config, "frictions", "a friction network")
     if config.sample.validation_materials and BY_SIMULATION in config.train.splits:
@@ -82,11 +73,7 @@ def check_networks_can_train(config: Config) -> None:
 
 
 def check_instrument_can_train(config: Config) -> None:
-    """Refuse a grid whose friction coefficients the instrument cannot learn.
-
-    BadInput with a single coefficient, one above what the instrument can say, or a viewpoint that
-    it cannot learn from.
-    """
+    """Refuse a grid whose friction coefficients the instrument cannot learn."""
     instrument_views(config)
     _enough(config, "frictions", "the instrument")
     for key in ("frictions", "test_frictions"):
@@ -99,10 +86,7 @@ def check_instrument_can_train(config: Config) -> None:
 
 
 def check_calibration_datasets(config: Config) -> None:
-    """Refuse datasets of other runs that are not there: they are to be made before.
-
-    The error names the first.
-    """
+    """Refuse datasets of other runs that are not there: they are to be made before."""
     for folder in config.instrument.calibration_datasets:
         if not Path(folder, "manifest.parquet").is_file():
             raise BadInput(

@@ -9,9 +9,8 @@ import re
 import shutil
 import subprocess
 import sys
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from slipstitch.base.page.wording import size
 from slipstitch.base.project import pinned_versions, project_folder
@@ -31,8 +30,7 @@ class Standing(enum.Enum):
     MISSING = "MISSING"
 
 
-@dataclass(frozen=True)
-class Diagnosis:
+class Diagnosis(NamedTuple):
     """One line of the screen."""
 
     name: str
@@ -77,10 +75,7 @@ def check_python() -> Diagnosis:
 
 
 def check_packages(path: Path = REQUIREMENTS) -> Diagnosis:
-    """The direct dependencies, at their pinned versions; the local part (``+cpu``) does not count.
-
-    Only a package that is absent is missing.
-    """
+    """The direct dependencies at their pinned versions; only one that is absent is missing."""
     pinned = pinned_versions(path)
     if not pinned:
         return _note("packages", "no list of pinned versions found")
@@ -190,15 +185,13 @@ def check_git() -> Diagnosis:
     return _met(there, "git", found, "sudo apt-get install git", Standing.NOTE)
 
 
-CHECKS: tuple[Callable[[], Diagnosis], ...] = (
-    check_python, check_packages, check_system_libraries, check_blender, check_warp,
-    check_processor, check_gpu, check_memory, check_disk, check_git,
-)  # fmt: skip
-
-
 def examine() -> list[Diagnosis]:
     """All checks, in the order they are shown."""
-    return [check() for check in CHECKS]
+    checks = (
+        *(check_python, check_packages, check_system_libraries, check_blender, check_warp),
+        *(check_processor, check_gpu, check_memory, check_disk, check_git),
+    )
+    return [check() for check in checks]
 
 
 def run_a_kernel() -> None:

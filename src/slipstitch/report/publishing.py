@@ -154,10 +154,7 @@ def _gathered(
 
 
 def _kept(config: Config, results: Results, out: Path) -> dict[str, str]:
-    """SHA-256 of what a folder published before keeps; BadInput if it is of another run.
-
-    Of weights that are not published, as their card names it.
-    """
+    """SHA-256 of what a folder published before keeps; of other weights as their card names it."""
     if not (out / INDEX).is_file():
         raise BadInput(f"{out}: nothing published there to update: publish without --update")
     if _of_run(load_config(out / "config.json")) != _of_run(config):
@@ -239,10 +236,7 @@ def _check_file(path: Path) -> None:
 
 
 def _unscored(scores: Iterable[Path], digests: Mapping[str, str]) -> list[str]:
-    """Models that the scores do not include; BadInput if these are of what is not there.
-
-    `digests` has the SHA-256 of every file that is published, and of weights that are not.
-    """
+    """Models that the scores do not include; BadInput if these are of what is not there."""
     ends = (WEIGHTS, MANIFEST)
     there = {name: one for name, one in digests.items() if name.endswith(ends)}
     found: set[str] = set()
@@ -279,10 +273,7 @@ def _describe_dataset(sample: Path, folder: Path) -> None:
 
 
 def _lineage(results: Path, shards: Iterable[str]) -> dict[str, dict[str, str]]:
-    """Artefact -> path and SHA-256 of what it was made from, from the files of images back.
-
-    Empty where a render has no record any more: half a chain leads nowhere.
-    """
+    """Artefact -> path and SHA-256 of what it was made from; empty if a render has no record."""
     waiting = [f"{results.name}/sample/{file}" for file in sorted(shards)]
     found: dict[str, dict[str, str]] = {}
     for name in waiting:  # grows
@@ -296,11 +287,7 @@ def _lineage(results: Path, shards: Iterable[str]) -> dict[str, dict[str, str]]:
 
 
 def _copy(source: Path, to: Path, published: bool = True) -> None:
-    """Copy a file and its record; of weights that are not published the record alone.
-
-    Tables of numbers are stored more compactly, their rows the same; of a calibration's trials
-    their results are left, not their runs.
-    """
+    """Copy a file, tables more compactly, and its record; of other weights the record alone."""
     record = source.with_name(source.name + SIDECAR_SUFFIX)
     to.parent.mkdir(parents=True, exist_ok=True)
     if source.name == "calibration.json" and source.is_file():

@@ -63,13 +63,9 @@ class Plan(BaseModel):
 
 
 class Event(BaseModel, strict=True, allow_inf_nan=False):
-    """A line of the journal.
+    """A line of the journal."""
 
-    Its event is run (with the process that ran), started, finished, failed (with rule, outputs and
-    logs) or end (with the CPU time of Snakemake itself and of its jobs on this machine).
-    """
-
-    event: str
+    event: str  # run, started, finished, failed or end
     time: float = Field(ge=0, lt=1e11)
     job: int | None = None
     rule: str = "?"
@@ -188,10 +184,7 @@ class Journal(logging.Handler):
 
 
 class Progress(logging.Handler):
-    """Prints a line with the last job of each stage; a handler of Snakemake's logger.
-
-    Jobs count by their modelled times; the time left is that so far, by the share.
-    """
+    """Prints a line with the last job of each stage; jobs count by their modelled times."""
 
     def __init__(self, plan: Sequence[Job], config: Config):
         super().__init__()
@@ -259,8 +252,7 @@ def read_runs(folder: str | os.PathLike) -> list[Run]:
 def failures(folder: str | os.PathLike, runs: Sequence[Run]) -> list[tuple[Event, str]]:
     """Every failed attempt of every run, the oldest first, and what became of its job.
 
-    That is ``retried`` if another attempt of the same run followed, ``completed later`` if its
-    output exists now, else ``not completed``.
+    That is ``retried`` in the same run, ``completed later``, or ``not completed``.
     """
     base = Path(folder).parent
     found = []
@@ -349,11 +341,7 @@ def _head(run: Run) -> str:
 
 
 def status(folder: str | Path, log_lines: int) -> tuple[str, bool]:
-    """Return what to print of a results folder, and whether its last run stopped unfinished.
-
-    Failures come first, then the state of the last run and the jobs of each stage. BadInput if the
-    plan is damaged.
-    """
+    """Return what to print of a results folder, and whether its last run stopped unfinished."""
     folder = Path(folder)
     runs, path = read_runs(folder), folder / "status" / PLAN
     if not runs or not path.exists():

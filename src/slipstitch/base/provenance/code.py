@@ -133,10 +133,9 @@ def _root(root: str | Path | None) -> Path:
 
 
 def code_sources(stage: str, root: str | Path | None = None) -> list[Path]:
-    """Return the files that the result of `stage` depends on, sorted by path.
+    """Return the files that the result of a stage of `STAGES` depends on, sorted by path.
 
-    ModuleNotFoundError if there is no such stage. The stage is a key of `STAGES`, the root the
-    folder that holds the package ``slipstitch``, the running one by default.
+    The root is the folder that holds the package, the running one by default.
     """
     return list(_contents(stage, _root(root))[0])
 
@@ -154,11 +153,7 @@ def installed_version(package: str) -> str | None:
 def code_digest(
     stage: str, root: str | Path | None = None, versions: tuple[tuple[str, str], ...] | None = None
 ) -> str:
-    """Return the SHA-256 of a stage's code (64 hexadecimal digits): sources and versions.
-
-    Stage and root are as for `code_sources`, and the errors; `versions` has pairs of package and
-    version, as a record names them, by default what is installed.
-    """
+    """Return the SHA-256 of a stage's code: sources, and versions, by default those installed."""
     base = _root(root)
     contents, packages = _contents(stage, base)
     digest = hashlib.sha256()

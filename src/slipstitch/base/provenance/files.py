@@ -40,11 +40,9 @@ YOUNG_S = 3600.0  # a temporary folder that may not have been locked yet
 def atomic_path(path: str | os.PathLike) -> Iterator[Path]:
     """A temporary path, with the suffix of `path`, that takes its name when the block ends well.
 
-    On an exception whatever was written is removed and `path` is left as it was. The content is
-    flushed to the disk before the renaming, so that a crash leaves the old file or the new one,
-    never half of one. Missing parent folders are created, and what a killed process left of an
-    earlier attempt at the same name is removed. A folder replaces an existing folder as a whole.
-    FileNotFoundError if the block ended well but wrote nothing.
+    A crash leaves the old file or folder or the new one, never half of one. Missing parents are
+    created, and what a killed process left of the same name is removed. FileNotFoundError if the
+    block wrote nothing.
     """
     final = Path(path)
     final.parent.mkdir(parents=True, exist_ok=True)
@@ -152,10 +150,7 @@ def _check_claims(path: str | os.PathLike, metadata) -> None:
 
 @contextlib.contextmanager
 def open_parquet(path: str | os.PathLike) -> Iterator[Any]:
-    """A ``pyarrow.parquet.ParquetFile`` that verifies the checksums of its pages.
-
-    Whatever goes wrong in the block with reading it is said of the file; see `reading`.
-    """
+    """A ``pyarrow.parquet.ParquetFile`` that verifies checksums; errors in the block name it."""
     import pyarrow.parquet
 
     path = os.fspath(path)
@@ -170,10 +165,7 @@ def open_parquet(path: str | os.PathLike) -> Iterator[Any]:
 
 
 def read_parquet(path: str | os.PathLike, columns: Iterable[str] | None = None):
-    """A Parquet file as a pyarrow table, checksums verified; all columns, or those named.
-
-    BadInput if there is no such file, or it lacks a column; `Damaged` if it is no Parquet file.
-    """
+    """A Parquet file as a pyarrow table, checksums verified; all columns, or those named."""
     wanted = None if columns is None else list(columns)
     with open_parquet(path) as file:
         for name in wanted or ():
@@ -208,11 +200,7 @@ def image_bytes(path: str | os.PathLike) -> bytes:
 
 
 def read_json(path: str | os.PathLike) -> Any:
-    """Content of a JSON file.
-
-    BadInput if there is no such file; `Damaged` if it is no JSON, or not what the record beside it
-    was written for.
-    """
+    """Content of a JSON file; `Damaged` if it is none, or not what its record was written for."""
     with reading(path, "JSON file"):
         if os.path.getsize(path) > JSON_BYTES_MAX:
             raise ValueError("too large")
@@ -276,10 +264,7 @@ class _UniqueKeys(yaml.SafeLoader):
 
 
 def load_yaml(text: str, where: str) -> Any:
-    """The content of a YAML text, plain data only; `where` names it in an error.
-
-    BadInput if it is no YAML, wants objects of Python, nests too deeply or grows beyond measure.
-    """
+    """The content of a YAML text, plain data only; `where` names it in a BadInput."""
     if len(text) > YAML_BYTES_MAX:
         raise BadInput(f"{where}: {len(text)} characters; at most {YAML_BYTES_MAX} are allowed")
     try:

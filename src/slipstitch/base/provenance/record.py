@@ -26,20 +26,8 @@ WRITE_OPTIONS = {"compression": "zstd", "write_page_checksum": True}
 #: What of a checkout decides about results, beside the configuration, whose values are recorded.
 TRACKED = ("Snakefile", "rules", "envs", "src", "workflow", "LICENSE", "CITATION.cff")
 RECORDED_PACKAGES = (
-    "av",
-    "bpy",
-    "cvxopt",
-    "numpy",
-    "opencv-python-headless",
-    "pandas",
-    "pillow",
-    "pyarrow",
-    "pydantic",
-    "safetensors",
-    "scipy",
-    "snakemake",
-    "torch",
-    "warp-lang",
+    *("av", "bpy", "cvxopt", "numpy", "opencv-python-headless", "pandas", "pillow", "pyarrow"),
+    *("pydantic", "safetensors", "scipy", "snakemake", "torch", "warp-lang"),
 )
 
 
@@ -55,8 +43,7 @@ _EARLIER_S = [0.0, 0.0]
 
 def count_earlier_attempts(wall_s: float, cpu_s: float) -> None:
     """From now on, count what an interrupted process took for work that this one continues."""
-    _EARLIER_S[0] += wall_s
-    _EARLIER_S[1] += cpu_s
+    _EARLIER_S[:] = _EARLIER_S[0] + wall_s, _EARLIER_S[1] + cpu_s
 
 
 def earlier_attempts() -> tuple[float, float]:
@@ -139,20 +126,10 @@ def provenance_record(
     seed: int | None = None,
     started: tuple[float, float] | None = None,
 ) -> dict[str, Any]:
-    """The origin of an artefact.
+    """The origin of an artefact: inputs with their SHA-256, configuration, code, versions, cost.
 
-    Parameters
-    ----------
-    stage : str
-        A key of `slipstitch.base.provenance.code.STAGES`; gives the code digest.
-    inputs : iterable of paths
-        Files that were read; each with its SHA-256 in the record.
-    config : mapping or pydantic model
-        The configuration keys that were used.
-    started : tuple, optional
-        What `start_clock` returned when the work began; by default the times count from the start
-        of the process (CPU) and from the import of this module (wall). CPU seconds include ended
-        child processes, both times earlier attempts.
+    The stage is a key of `slipstitch.base.provenance.code.STAGES`. Times count from what
+    `start_clock` returned, or the start of the process, with ended children and earlier attempts.
     """
     wall_then, cpu_then = started or _PROCESS_START
     commit, dirty = _git()
@@ -217,8 +194,7 @@ def read_sidecar(path: str | os.PathLike) -> dict[str, Any]:
 def attach_metadata(table, metadata: Mapping[str, Any], record: Mapping[str, Any] | None = None):
     """A pyarrow table or schema with `metadata` merged into its JSON under key ``slipstitch``.
 
-    Entries of `metadata` win over those that are already there; a `record` goes to the entry
-    ``provenance``. Other metadata keys stay, the data are shared.
+    New entries win; a `record` goes to the entry ``provenance``; other keys and the data stay.
     """
     schema = getattr(table, "schema", table)
     keys = dict(schema.metadata or {})
@@ -273,8 +249,7 @@ class ParquetStream:
 def parquet_stream(path: str | os.PathLike, schema, **options: Any) -> Iterator[ParquetStream]:
     """Write a Parquet file atomically, a group of rows at a time: memory does not grow with it.
 
-    The file says what it holds as one of `write_parquet` does. `schema` must hold types that
-    Parquet itself knows; `options` go to ``pyarrow.parquet.ParquetWriter``.
+    `schema` must hold types that Parquet itself knows; `options` go to ``ParquetWriter``.
     """
     import pyarrow.parquet
 
@@ -291,12 +266,7 @@ def parquet_stream(path: str | os.PathLike, schema, **options: Any) -> Iterator[
 def read_metadata(source) -> dict[str, Any]:
     """The JSON object under key ``slipstitch`` of a Parquet file, pyarrow table or schema, or {}.
 
-    Raises
-    ------
-    BadInput
-        If a path is given and the file is missing or damaged.
-    ValueError
-        If the object is not as it was written.
+    BadInput if there is no such file, ValueError if the object is not as it was written.
     """
     if isinstance(source, str | os.PathLike):
         with files.open_parquet(source) as file:
