@@ -21,11 +21,11 @@ from slipstitch.physics.calibration.calibration import (
     DemandNotMet,
     calibrate,
     calibrate_to_file,
+    experiments,
     read_sweeps,
     strip_calibration,
     write_calibration,
 )
-from slipstitch.physics.calibration.checks import experiments
 from slipstitch.physics.calibration.pictures import (
     calibration_figure,
     draw_again,

@@ -26,8 +26,8 @@ from matplotlib.figure import Figure
 from scipy import optimize, stats
 
 from slipstitch.base.errors import BadInput
-from slipstitch.base.page.figures import FIXED_IDS, plain_text, save_figure
-from slipstitch.base.page.palette import BLACK, INTERVAL, SERIES
+from slipstitch.base.page.figures import plain_text, save_figure
+from slipstitch.base.page.palette import BLACK, FIXED_IDS, INTERVAL, SERIES
 from slipstitch.base.provenance import provenance_record, recorded_path, start_clock, write_json
 from slipstitch.base.tables import in_radians
 from slipstitch.film.csv_table import TableColumn, name, number, read_table, whole_number

@@ -15,29 +15,7 @@ matplotlib.use("Agg")
 
 from matplotlib.figure import Figure
 
-from slipstitch.base.page.palette import FRAME, INK, SOFT
-
-# Ids that do not differ from run to run.
-FIXED_IDS: Any = {"svg.hashsalt": "slipstitch"}
-
-STYLE: Any = {
-    **FIXED_IDS,
-    "font.family": "sans-serif",
-    "font.size": 9,
-    "axes.titlesize": 9.5,
-    "axes.labelsize": 9,
-    "axes.edgecolor": FRAME,
-    "axes.labelcolor": INK,
-    "text.color": INK,
-    "xtick.color": SOFT,
-    "ytick.color": SOFT,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "figure.facecolor": "none",
-    "axes.facecolor": "none",
-    "savefig.facecolor": "none",
-    "path.simplify": True,
-}
+from slipstitch.base.page.palette import FIXED_IDS, STYLE
 
 
 def styled(function):

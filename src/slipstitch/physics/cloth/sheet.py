@@ -13,7 +13,7 @@ import warp as wp
 
 from slipstitch.base.errors import BadInput
 from slipstitch.physics.cloth import bending, contact, elasticity
-from slipstitch.physics.cloth.floor_friction import FloorFriction
+from slipstitch.physics.cloth.contact import FloorFriction
 from slipstitch.physics.cloth.mesh import ClothMesh
 from slipstitch.physics.cloth.self_contact import SelfContact
 from slipstitch.physics.cloth.tangent import Assembly, Entries

@@ -21,7 +21,7 @@ import warp as wp
 from slipstitch.base.errors import NotConverged
 from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.cloth import bending, contact
-from slipstitch.physics.cloth.floor_friction import Conditions, FloorFriction
+from slipstitch.physics.cloth.contact import Conditions, FloorFriction
 from slipstitch.physics.cloth.mesh import ClothMesh
 from slipstitch.physics.cloth.self_contact import SelfContact
 from slipstitch.physics.cloth.sheet import Sheet, check_device
