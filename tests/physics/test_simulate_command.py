@@ -79,7 +79,7 @@ REFUSED = {
     f"{RUN} --set time_step_s=0": "simulation.time_step_s: must be greater than 0",
     f"{RUN} --set timestep=1": "simulation.timestep: unknown key",
     f"{RUN} --set frames": "--set frames: must be KEY=VALUE",
-    f"{RUN} --seed -4": "--seed -4: must be at least 0",
+    f"{RUN} --seed -4": "'--seed': -4 is not in the range x>=0",
     f"{RUN} --device abacus": "device abacus: not available on this machine; available: cpu",
 }
 
