@@ -301,8 +301,10 @@ def test_with_only_failures_nothing_is_drawn_of_a_calibration_that_meets_the_dem
 def test_sweeps_of_another_configuration_are_refused(config, tmp_path):
     paths = sweeps(config, tmp_path)
     other = resolve_config({"calibrate": {"sweep_damping_s": [0.5]}})
-    with pytest.raises(BadInput, match=r"settings tried, but the configuration has"):
+    with pytest.raises(BadInput, match=r"base: pushed with other .*, tried than the"):
         read_sweeps(paths, other)
+    with pytest.raises(BadInput, match=r"settings tried, but the configuration has"):
+        read_sweeps(paths[:-1], config)
     stepped = config.simulation.model_copy(update={"step_error_m": 1e-5})
     with pytest.raises(BadInput, match=r"base: pushed with other simulation"):
         read_sweeps(paths, config.model_copy(update={"simulation": stepped}))
