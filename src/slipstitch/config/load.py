@@ -76,7 +76,8 @@ def _numbers(value: Any, words: bool = False) -> Any:
 def _kind(value: Any) -> str:
     if value is None or isinstance(value, bool):
         return {None: "nothing", True: "true", False: "false"}[value]
-    return {dict: "a mapping", list: "a list"}.get(type(value), repr(value))
+    names: dict[type, str] = {dict: "a mapping", list: "a list"}
+    return names.get(type(value), repr(value))
 
 
 def _known_beside(location: tuple) -> list[str]:

@@ -98,8 +98,9 @@ def benchmarks(folder: Path, job_classes: bool = False) -> list[Benchmark]:
         of = pandas.DataFrame(jobs)
         sums, medians = of.sum(min_count=1), of.median()
         memory = None if math.isnan(most := of.memory_mib.max()) else float(most)
-        times = sums.wall_s, sums.cpu_s, medians.wall_s, medians.cpu_s
-        found.append(Benchmark(name, len(of), *map(float, times), memory))
+        wall_s, cpu_s = float(sums.wall_s), float(sums.cpu_s)
+        of_one_s = float(medians.wall_s), float(medians.cpu_s)
+        found.append(Benchmark(name, len(jobs), wall_s, cpu_s, *of_one_s, memory))
     return found
 
 

@@ -64,7 +64,7 @@ def _draw_history(axes: Axes, history: History, lines: dict[str, Any]) -> None:
     numbers = epochs[[*known[:-1]]].apply(pandas.to_numeric, errors="coerce")
     for key, colour in (("train_loss", palette.BLUE), ("validation_loss", palette.MEASURED)):
         marker = "o" if len(epochs) < 40 else None
-        style = {"lw": 1.3, "color": colour, "marker": marker, "ms": 2.5}
+        style: Any = {"lw": 1.3, "color": colour, "marker": marker, "ms": 2.5}
         (line,) = axes.plot(numbers["epoch"], numbers[key], **style)
         lines.setdefault(key.split("_")[0].replace("train", "training"), line)
     if np.isfinite(chance := numbers["chance_loss"].iloc[0]):
