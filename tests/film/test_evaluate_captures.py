@@ -142,7 +142,7 @@ def evaluation_of(bench, kind):
 def test_captures_go_through_all_networks(bench, capsys):
     out = evaluation_of(bench, "surrogates")
     said = capsys.readouterr().out
-    assert "surrogate_reflective   lrcn_conditional, trained by_video" in said
+    assert "surrogate_reflective  lrcn_conditional, trained by_video" in said
     metrics = json.loads((out / "out.json").read_text())
     assert list(metrics) == ["surrogate_all", "surrogate_matte", "surrogate_reflective"]
     networks = [f"lrcn_{kind}, trained by_video" for kind in ("baseline", "conditional")]

@@ -59,10 +59,7 @@ def manifest_sides(config: Config) -> dict[str, tuple[str, str]]:
 
 
 def video_labels(config: Config) -> dict[str, dict[str, Any]]:
-    """Every video of the grid, sorted -> the manifest's columns that configuration and seed decide.
-
-    All but the pose of the camera, the floor and the digest of the pixels.
-    """
+    """Every video of the grid, sorted -> the columns that configuration and seed decide."""
     calibrated = VIEWPOINTS["calibrated"].azimuth_deg
     catalogue = {item["id"]: item for item in textures(config) + viewpoints(config)}
     grid = {simulation.id: simulation for simulation in simulations(config)}

@@ -251,10 +251,7 @@ def resized(video: np.ndarray, side: int) -> np.ndarray:
 
 
 def takes_part(row: Mapping[str, Any], trained_on: str = "") -> bool:
-    """Whether a video may train: nothing in it (`ROLES`) is for testing.
-
-    Of `slipstitch.config.train.REFLECTIVE`, floors of the second training set may.
-    """
+    """Whether a video may train: nothing in it (`ROLES`) is for testing, or a floor that trains."""
     return test_only(row) <= ({"floor"} if trained_on == REFLECTIVE else set())
 
 

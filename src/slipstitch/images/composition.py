@@ -77,10 +77,7 @@ def join(shading: Shading, sight: Sight) -> Layers:
 
 
 def _texture_blur(rays: int) -> float:
-    """Standard deviation (texels) that spreads a texture over the area of one of so many rays.
-
-    Rays that sample single texels would alias; the factor is what a fit to direct renders gave.
-    """
+    """Blur (texels) that spreads a texture over a ray's area; fitted to direct renders."""
     wanted = _BLUR_PER_RAY * TEXELS / np.sqrt(max(rays, 1))
     return min(_TEXTURE_BLURS, key=lambda blur: abs(blur - wanted))
 

@@ -72,10 +72,7 @@ def drawn_by(simulation: str, viewpoint: str) -> str:
 def draw_surroundings(
     settings: RenderSettings, seed: int, simulation: str, viewpoint_id: str = "v00"
 ) -> Surroundings:
-    """Floor and lamp of a simulation: of its fabric and replicate, whatever its coefficient.
-
-    All viewpoints share them but those of the second training set and of a family (`drawn_by`).
-    """
+    """Floor and lamp of a simulation: of its fabric and replicate, or of what `drawn_by` says."""
     view = viewpoint_ids(settings).get(viewpoint_id, "")
     bench = drawn_by(simulation, view)
     rng = generator(seed, bench, *([view] if of_a_family(view) else []), "surroundings")

@@ -197,10 +197,7 @@ def _chevron(u, v, rng):
 
 
 def _drawn_cloth(u, v, rng):
-    """A cloth of random pattern: one, or two over one another, on a mottled ground.
-
-    A quarter of the grounds are pale, half of the patterns bold: light on dark, or dark on light.
-    """
+    """A cloth of random pattern: one, or two over one another, on a mottled ground."""
     pale = rng.uniform() < 0.25
     ground = _drawn_colour(rng, (0.85, 0.98), 0.2) if pale else _drawn_colour(rng)
     cloth = np.broadcast_to(ground, (*u.shape, 3))

@@ -98,10 +98,7 @@ class View:
     def identified(
         cls, config: Config, trajectory_path: str | os.PathLike, viewpoint_id: str, viewpoint: str
     ) -> "View":
-        """The view of a configuration, with id and name of a viewpoint.
-
-        A simulation or viewpoint that the configuration does not have is filmed in all textures.
-        """
+        """The view with id and name of a viewpoint, of any: in all textures then."""
         key = (Path(trajectory_path).stem, viewpoint_id)
         return cls(
             trajectory_path,

@@ -125,10 +125,7 @@ def _draw_triangle(
 
 
 def sees_quad(corners_m: np.ndarray, camera: Camera, tile: int = 4) -> np.ndarray:
-    """Whether each pixel's ray meets a convex quadrilateral, (pixels, pixels) bool.
-
-    Corners (4, 3) in order, in front of the camera; pixels a multiple of `tile` (see `ray_places`).
-    """
+    """Whether each pixel's ray meets a convex quadrilateral (4, 3), (pixels, pixels) bool."""
     corners = camera.project(corners_m)
     edges = np.roll(corners, -1, axis=0) - corners
     turn = np.sign(edges[0, 0] * edges[1, 1] - edges[0, 1] * edges[1, 0])

@@ -102,10 +102,7 @@ class ConvolutionBlock(nn.Sequential):
 
 
 class LRCN(nn.Module):
-    """Classes from the frames of a video, `pixels` a side; `settings` say sizes and initialisation.
-
-    A conditional network is told one of `condition_classes` materials.
-    """
+    """Classes from the frames of a video, of a conditional network told one of the materials."""
 
     def __init__(
         self, settings: TrainSettings, classes: int, pixels: int, condition_classes: int = 0
@@ -180,8 +177,7 @@ class LRCN(nn.Module):
     ) -> Tensor:
         """Return the logits (videos, classes) of uint8 frames (videos, frames, pixels, pixels, 3).
 
-        The condition (videos,) is the class numbers of the materials. `bfloat16`: derive the
-        convolutions in bfloat16; without gradients, compute them so too. The rest stays float32.
+        The condition is class numbers of materials; `bfloat16` is for the convolutions alone.
         """
         videos, count = frames.shape[:2]
         maps = self._standardised(frames).permute(0, 3, 1, 2)  # NHWC in memory: channels last

@@ -91,10 +91,7 @@ def save_checkpoint(
     optimizer: torch.optim.Optimizer,
     started: tuple[float, float],
 ) -> None:
-    """Write everything, atomically, and the time taken since `started` (of `start_clock`).
-
-    `identity` says which training this is; only the same one may continue from the file.
-    """
+    """Write everything of the training that `identity` names, with the time since `started`."""
     state = {
         "identity": json.dumps(identity, sort_keys=True),
         "progress": asdict(progress),

@@ -22,10 +22,7 @@ def set_up_torch(threads: int) -> None:
 
 
 def computes_bfloat16(precision: str) -> bool:
-    """Whether a run with this `precision` setting computes its convolutions in bfloat16.
-
-    ``auto`` asks the processor for AVX512-BF16: without, bfloat16 is emulated, and slower.
-    """
+    """Whether convolutions compute in bfloat16; ``auto``: if the processor does (AVX512-BF16)."""
     if precision == "auto":
         return bool(torch.cpu._is_avx512_bf16_supported())
     return precision == "bfloat16"

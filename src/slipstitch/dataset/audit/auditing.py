@@ -266,10 +266,9 @@ def _configuration(contents: Contents, config: Config, folder: Path) -> Path:
 
 
 def rebuild(contents: Contents, clip: str) -> Rebuilt:
-    """Render a clip again with the installed code, from the simulations that the release carries.
+    """Render a clip again with the installed code, from simulations that are carried or made again.
 
-    Where it carries none, they are made again too. BadInput if the release has no such clip, or
-    lacks what it takes; SlipstitchError if the simulation or the rendering fails.
+    BadInput if the release lacks what it takes; SlipstitchError if a stage fails.
     """
     row = find_clip(contents, clip)
     stages = ("simulate", "render", "calibrate.calibration")

@@ -40,10 +40,7 @@ _GROWS = "takes far more memory than it has bytes; not read"
 
 @dataclass
 class Shard:
-    """The content of a shard: by video, the digest of its pixels, its columns, a flaw of an image.
-
-    `problem` states why it could not be read, `odd` its deviations from the format.
-    """
+    """The content of a shard, by video; why it could not be read, or how it is odd."""
 
     pixels: dict[str, str] = field(default_factory=dict)
     first_row: dict[str, int] = field(default_factory=dict)

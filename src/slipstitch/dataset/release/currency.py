@@ -73,10 +73,7 @@ _NO_SOURCES = (
 def current_digest(
     stage: str, root: str | Path | None = None, versions: Mapping[str, Any] | None = None
 ) -> str | None:
-    """Digest of the stage's code; None if there is no such stage, or it cannot be read.
-
-    The root is the folder of the package; `versions` are by package, by default what is installed.
-    """
+    """Digest of the stage's code below a root, with versions; None if it cannot be had."""
     stated = None
     if versions is not None:
         counting = (str(versions.get(package)) for package in _RESULT_PACKAGES)

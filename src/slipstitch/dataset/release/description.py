@@ -86,10 +86,7 @@ def split_table(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> list
 
 
 def varied(rows: Sequence[Mapping[str, Any]]) -> dict[str, str]:
-    """Variation of the videos: column of labels -> its values, test-only ones marked.
-
-    Numbers of many values are shown by their range. Ids, digests, places and splits are no labels.
-    """
+    """Variation of the videos: column of labels -> its values or range, test-only ones marked."""
     shown = {}
     for name in rows[0]:
         values = list(dict.fromkeys(row[name] for row in rows if row[name] is not None))

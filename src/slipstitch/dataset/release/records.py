@@ -52,10 +52,7 @@ class Artefact:
 
     @property
     def inputs(self) -> dict[str, str]:
-        """Path -> SHA-256 of what it was made from, as far as that is followed.
-
-        Measured data behind an extended model are not: its record has their digests.
-        """
+        """Path -> SHA-256 of what it was made from, but for data behind an extended model."""
         return {} if self.stage == "criticise" else self.record.get("inputs", {})
 
     @property
@@ -110,10 +107,7 @@ def is_ours(path: str) -> bool:
 
 
 def recorded_name(configured: str, paths: Iterable[str]) -> str | None:
-    """Which of these paths of records is the file that the configuration names, if any is.
-
-    Records call a file by its place in the working folder, or by its name alone if it lies outside.
-    """
+    """Which of these paths of records, or names, is the file that the configuration names."""
     whole = f"/{posixpath.normpath(configured)}"
     return max((path for path in paths if whole.endswith(f"/{path}")), key=len, default=None)
 
@@ -127,8 +121,7 @@ def locate(path: str, root: Path, outside: Mapping[str, Path]) -> Path:
 def collect(start: Iterable[str], root: Path, outside: Mapping[str, Path]) -> dict[str, Artefact]:
     """Records of the artefacts `start` and of everything behind them, by path, inputs first.
 
-    Paths are as records call them, relative to `root`; `outside` says where files from elsewhere
-    are. BadInput if a file is missing, or no longer the one that something was made from.
+    `outside` says where files are that are not below `root`; BadInput if one is another one now.
     """
     found: dict[str, Artefact] = {}
 

@@ -71,10 +71,7 @@ def prediction_row(
     prediction: Prediction,
     classes: Sequence[Mapping[str, Any]],
 ) -> Row:
-    """Return what predictions.parquet says of a video (row of the manifest) and its prediction.
-
-    Of `classes`, the coefficients that train, the nearest is the predicted one.
-    """
+    """Return what predictions.parquet says of a video and its prediction, by the nearest class."""
     fabrics = prediction.fabrics
     if predicts_material_alone(network):
         shares = [*prediction.material_probabilities.values()]

@@ -219,11 +219,12 @@ def capture_lines(metrics: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> lis
 
 
 def _lines(metrics, head: str, columns: list[Metric]) -> list[str]:
-    rows = [[head, "model", "n", *(metric.column for metric in columns)]]
+    wide = max(map(len, [head, *metrics]))
+    rows = [[f"{head:<{wide}}  model", "n", *(metric.column for metric in columns)]]
     for of, models in metrics.items():
         for model, row in models.items():
             cells = [_cell(row[metric.name], metric.unit) for metric in columns]
-            rows.append([of, model, str(row["n"]), *cells])
+            rows.append([f"{of:<{wide}}  {model}", str(row["n"]), *cells])
     return aligned(rows)
 
 

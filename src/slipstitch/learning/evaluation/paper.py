@@ -52,10 +52,7 @@ CAPTURES = {
 
 
 def captures_cells(subset: str, names: Iterable[str]) -> list[tuple[float | None, int]]:
-    """Return the paper's figures of some metrics: (figure or None, columns that the cell spans).
-
-    Neighbours without a figure share a cell; `subset` is one of `CAPTURES`.
-    """
+    """Return the paper's figures of some metrics: (figure or None, columns that the cell spans)."""
     found: list[tuple[float | None, int]] = []
     for figure, same in groupby(CAPTURES[subset].get(name) for name in names):
         width = len(list(same))

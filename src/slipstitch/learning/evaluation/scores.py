@@ -130,10 +130,7 @@ def scores_by_seed(rows: Sequence[Row]) -> dict[str, dict[str, float]]:
 
 
 def metrics_of_table(rows: Sequence[Row], models: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the content of metrics.json: ``{test set: {model: {field: number or None}}}``.
-
-    Of rows as `SCHEMA`; `models` is ``{trained_on: {network: {"seeds": [...]}}}`` of averages.
-    """
+    """Return metrics.json, of rows as `SCHEMA`; `models` has the seeds of averages."""
     metrics: dict[str, Any] = {}
     for test, of_test in grouped(rows, "split").items():
         metrics[test] = {}

@@ -105,10 +105,7 @@ def wrong_inputs(videos: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _empty(videos: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """The scene: its pixels' medians, where no cloth ever is, drawn along the rows elsewhere.
-
-    The cloth is the coloured part. Every frame gets the camera's noise of one grey level.
-    """
+    """The scene: pixels' medians, where no cloth ever is, drawn along the rows elsewhere; noisy."""
     images = videos.reshape(-1, *videos.shape[2:])
     covered = ever_cloth(images)
     scene = np.median(images, axis=0)
@@ -131,7 +128,6 @@ def _with_box(empty: np.ndarray) -> np.ndarray:
     return result
 
 
-Row = dict[str, Any]
 #: The one probe that may tell something: of a frame in the middle of the film.
 MIDDLE_FRAME = f"{PREFIX}middle_frame"
 #: Name -> what it sees, in words.

@@ -69,10 +69,7 @@ def augmented(
 def phase_frames(
     count: int, total: int, frames: int, generator: np.random.Generator | None
 ) -> np.ndarray:
-    """Which `frames` of the `total` of each of `count` videos are seen, at regular intervals.
-
-    A generator draws each video's phase within the first interval; by default the first frame.
-    """
+    """Which `frames` of the `total` of each of `count` videos are seen, from a drawn phase on."""
     spare = -(-total // frames)  # phases that differ
     starts = np.zeros(count) if generator is None else generator.integers(spare, size=count) / spare
     return ((np.arange(frames)[None] + starts[:, None]) * total / frames).astype(np.int64)

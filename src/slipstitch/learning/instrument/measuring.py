@@ -43,10 +43,7 @@ NOT_CALIBRATED = "the instrument is not calibrated: its errors are unknown"
 
 @dataclass(frozen=True)
 class Answers:
-    """Uncalibrated answers for n videos, averaged over augmented views and over the networks.
-
-    Distributions are averaged point by point (a linear pool); embeddings stand one after another.
-    """
+    """Uncalibrated answers for n videos, averaged over views and networks; all embeddings."""
 
     probabilities: np.ndarray
     material_logits: np.ndarray

@@ -68,10 +68,7 @@ def shifted_in_time(maps: Tensor, frames: int) -> Tensor:
 
 
 class InstrumentNetwork(nn.Module):
-    """Mixture of mu, material logits, order logit, attention weights of the frames.
-
-    BadInput if there are too few pixels a side for the convolutions.
-    """
+    """Mixture of mu, material logits, order logit, attention weights of the frames."""
 
     grid: Tensor
     points_mean_m: Tensor
@@ -183,6 +180,7 @@ class InstrumentNetwork(nn.Module):
 
     def of_keypoints(self, points: Tensor) -> dict[str, Tensor]:
         """Answers from places (videos, frames, points, 3), of a network that goes through them."""
+        assert self.of_points is not None
         return self._answers(self.of_points(points.flatten(2)))
 
     def _answers(self, features: Tensor) -> dict[str, Tensor]:

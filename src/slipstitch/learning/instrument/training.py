@@ -87,10 +87,7 @@ def _training_videos(
 
 
 def chance_score(friction: np.ndarray) -> float:
-    """Ranked probability score, in mu, of always saying the labels' own distribution.
-
-    Half the mean distance of two labels (Gneiting & Raftery 2007, eq. 21).
-    """
+    """Score of always saying the labels' own distribution (Gneiting & Raftery 2007, eq. 21)."""
     return float(abs(friction[:, None] - friction[None]).mean() / 2)
 
 
