@@ -9,6 +9,7 @@ width runs along x: with one odd and one even number of squares there is exactly
 import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 import cv2
@@ -187,7 +188,7 @@ def _first_square_is_light(grey: np.ndarray, corners: np.ndarray) -> bool:
 def what_is_seen(board: Board, images: Iterable[np.ndarray]) -> str:
     """Return in a few words what grey images show in place of a board; empty if it is nothing."""
     seen: tuple[int, str] = (0, "")
-    for _, grey in zip(range(_IMAGES_TRIED), images, strict=False):
+    for grey in images:
         found = _markers(board, grey) or _checkerboard(board, grey)
         seen = max(seen, found or seen, key=lambda one: one[0])
     return seen[1]
@@ -316,10 +317,15 @@ def read_views(paths: Sequence[str | Path], board: Board) -> list[BoardView]:
     is_video = [path.suffix.lower() in VIDEOS for path in names]
     if any(is_video) and len(names) > 1:
         raise BadInput(f"{names[is_video.index(True)]}: a video must be the only file")
-    images = _frames(names[0]) if is_video[0] else ((str(path), read_image(path)) for path in names)
+
+    def images() -> Iterator[tuple[str, np.ndarray]]:
+        if is_video[0]:
+            return _frames(names[0])
+        return ((str(path), read_image(path)) for path in names)
+
     views: list[BoardView] = []
     looked_at = 0
-    for name, grey in images:
+    for name, grey in images():
         looked_at += 1
         size = (grey.shape[1], grey.shape[0])
         sighting = board.find(grey)
@@ -336,22 +342,14 @@ def read_views(paths: Sequence[str | Path], board: Board) -> list[BoardView]:
         views.append(BoardView(name, size, sighting))
     if not views:
         where = str(names[0]) if len(names) == 1 else f"{names[0]} ... {names[-1]}"
-        seen = what_is_seen(board, _spread(names, is_video[0], looked_at))
+        spread = islice(images(), None, None, -(-looked_at // _IMAGES_TRIED))
+        seen = what_is_seen(board, (grey for _, grey in spread))
         raise BadInput(
             f"{where}: no {'ChArUco ' if board.marker_m else 'checker'}board of "
             f"{board.squares[0]}x{board.squares[1]} squares in any of {looked_at} "
             f"{'frame' if is_video[0] else 'image'}(s){f'; {seen}' if seen else ''}"
         )
     return _most_different(views, _FRAMES_KEPT) if is_video[0] else views
-
-
-def _spread(names: Sequence[Path], is_video: bool, count: int) -> Iterator[np.ndarray]:
-    """Five images at most, spread over all that were looked at."""
-    step = -(-count // 5)
-    if is_video:
-        yield from (grey for k, (_, grey) in enumerate(_frames(names[0])) if k % step == 0)
-    else:
-        yield from map(read_image, names[::step])
 
 
 def _most_different(views: list[BoardView], count: int) -> list[BoardView]:

@@ -1,6 +1,7 @@
 """Trained models on captures, real or surrogate: predictions, scores, page."""
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -155,30 +156,17 @@ def captures_page(
         plot=svg_uri(_cumulative(found)),
         models=[
             {
-                "label": f"{label(row)}, seed {row['seed']}".replace("_", " "),
-                "rows": pair_medians(
-                    [one for one in found if _of_training(one) == _of_training(row)]
-                ),
+                "label": f"{label(rows[0])}, seed {seed}".replace("_", " "),
+                "rows": pair_medians(rows),
             }
-            for row in _first_by(found, label)
+            for of_model in grouped(found, "model", "trained_on").values()
+            for seed, rows in islice(grouped(of_model, "seed").items(), 1)
         ],
-        strips=[_strip(dataset, row) for row in _first_by(known, lambda row: row["pair"])],
+        strips=[_strip(dataset, rows[0]) for rows in grouped(known, "pair").values()],
         captures=len(known),
         pairs=len({row["pair"] for row in known}),
         notes=[f"{row['video']}: {row['notes']}" for row in known if row["notes"]],
     )
-
-
-def _first_by(items: Iterable[Any], key: Callable[[Any], str]) -> list[Any]:
-    """The first item of every value of a key."""
-    first: dict[str, Any] = {}
-    for item in items:
-        first.setdefault(key(item), item)
-    return list(first.values())
-
-
-def _of_training(row: Mapping[str, Any]) -> tuple[str, int | None]:
-    return label(row), row["seed"]
 
 
 @styled

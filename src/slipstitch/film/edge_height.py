@@ -100,7 +100,7 @@ class EdgeFinder:
         starts = [(up, sag, 0.0) for up in np.arange(-4, 4.1, 1) for sag in (0.5, 2, 4, 6)]
         start = min(starts, key=lambda one: self._cost(np.array(one), light, columns))
         whole = self._fit(start, light, columns)
-        explained = 1 - self._left_over(whole, light, columns) / self._everything(light)
+        explained = 1 - self._left_over(whole, light, columns) / ((light**2).sum(axis=0) + 1e-9)
         if np.mean(explained > _EXPLAINED) < _SHARE:
             return None
         blocks = np.array_split(columns, _BLOCKS)
@@ -122,9 +122,6 @@ class EdgeFinder:
         """Sum of the logarithms: the noise and the contrast of each column are its own."""
         return float(np.log(self._left_over(mm, light, columns)).sum())
 
-    def _everything(self, light: np.ndarray) -> np.ndarray:
-        return (light**2).sum(axis=0) + 1e-9
-
     def _left_over(self, mm: np.ndarray, light: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Squares of what a step at the edge, with any slope below it, leaves of each column."""
         below_m = self._curve_m(*(1e-3 * mm))[None, columns] - self._up_m[:, None]
@@ -134,7 +131,8 @@ class EdgeFinder:
         inner = np.einsum("ijk,ljk->kil", of, of) + 1e-9 * np.eye(2)
         wanted = np.einsum("ijk,jk->ki", of, seen)
         found = np.linalg.solve(inner, wanted[..., None])[..., 0]
-        return np.maximum(self._everything(seen) - (found * wanted).sum(axis=1), 1e-9)
+        left_over: np.ndarray = (seen**2).sum(axis=0) - (found * wanted).sum(axis=1)
+        return np.maximum(left_over, 0.0) + 1e-9
 
     def _curve_m(self, above_m: float, sag_m: float, rise_m: float) -> np.ndarray:
         """Where the edge is seen in the plane of the clamps, above the protocol's height."""

@@ -133,8 +133,7 @@ def estimate(angles: SlipAngles) -> Reference:
     """
     where = f"{angles.material} on {angles.substrate}"
     values = np.tan(angles.angle_rad)
-    position, positions = _levels(angles.position)
-    orientation, orientations = _levels(angles.orientation)
+    positions, orientations = _levels(angles.position), _levels(angles.orientation)
     needed = max(_FEWEST, orientations.shape[1] + 1)
     if len(values) < needed:
         raise BadInput(f"{where}: {len(values)} slip angle(s); at least {needed} are required")
@@ -162,24 +161,21 @@ def estimate(angles: SlipAngles) -> Reference:
         mixed.repeat_sd,
         _f_test(values, everything, design),
         _f_test(values, everything, positions),
-        _means(values, position, angles.position),
-        _means(values, orientation, angles.orientation),
+        _means(values, angles.position),
+        _means(values, angles.orientation),
         len(values),
     )
 
 
-def _levels(names: list[str]) -> tuple[np.ndarray, np.ndarray]:
-    """Number of each entry's level, and the indicator matrix."""
+def _levels(names: list[str]) -> np.ndarray:
+    """The indicator matrix of the levels."""
     known, number = np.unique(names, return_inverse=True)
-    return number, np.eye(len(known))[number]
+    return np.eye(len(known))[number]
 
 
-def _means(values, number, names: list[str]) -> dict[str, tuple[float, int]]:
-    first = {int(k): name for k, name in zip(number[::-1], names[::-1], strict=True)}
-    return {
-        first[k]: (float(values[number == k].mean()), int((number == k).sum()))
-        for k in sorted(first)
-    }
+def _means(values: np.ndarray, names: list[str]) -> dict[str, tuple[float, int]]:
+    groups = pandas.Series(values).groupby(np.array(names))
+    return {str(name): (float(part.mean()), len(part)) for name, part in groups}
 
 
 def _f_test(values: np.ndarray, full: np.ndarray, reduced: np.ndarray) -> float | None:

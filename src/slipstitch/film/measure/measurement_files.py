@@ -19,6 +19,7 @@ from slipstitch.film.measure import truth_of
 from slipstitch.film.measure.measuring_bench import MeasuredVideo, MeasuringBench
 from slipstitch.film.measure.pages import measurement_page, repeats_page
 from slipstitch.learning.instrument.measuring import COVERAGE, HALF_WIDTH
+from slipstitch.learning.prediction import Prediction
 
 FEWEST_FOR_OUTLIERS = 3
 OUTLIER_CHANCE = 0.05  # of naming any video of a pair, where none is an outlier
@@ -225,43 +226,35 @@ class MeasuredPair:
     def table(self) -> str:
         """CSV: one row per video, measured or not, then the combined value."""
         text = io.StringIO()
-        rows = csv.writer(text, lineterminator="\n")
-        rows.writerow(COLUMNS)
+        rows = csv.DictWriter(text, COLUMNS, lineterminator="\n")
+        rows.writeheader()
         for index, video in enumerate(self.videos):
-            measured = video.measurement
-            rows.writerow(
-                [
-                    _cell(video.name),
-                    f"{measured.friction_coefficient:.4f}",
-                    *self._interval(measured.interval_90),
-                    video.fabric[0],
-                    f"{video.fabric[1]:.3f}",
-                    video.alarm_reason,
-                    int(index in self.outliers),
-                    "",
-                    "; ".join(filter(None, [video.without_error_bar, *video.notes])),
-                ]
-            )
-        rows.writerows(
-            [_cell(name), *[""] * 8, f"not measured: {problem}"]
-            for name, problem in self.refused.items()
-        )
+            fabric, probability = video.fabric
+            row = {
+                **self._value(video.measurement),
+                "video": _cell(video.name),
+                "fabric": fabric,
+                "fabric_probability": f"{probability:.3f}",
+                "alarm": video.alarm_reason,
+                "outlier": int(index in self.outliers),
+                "notes": "; ".join(filter(None, [video.without_error_bar, *video.notes])),
+            }
+            rows.writerow(row)
+        for name, problem in self.refused.items():
+            rows.writerow({"video": _cell(name), "notes": f"not measured: {problem}"})
         if together := self.together:
-            rows.writerow(
-                [
-                    COMBINED,
-                    f"{together.friction_coefficient:.4f}",
-                    *self._interval(together.interval_90),
-                    *[""] * 4,
-                    f"{together.scatter:.4f}" if len(self.used) > 1 else "",
-                    self.without_error_bar,
-                ]
-            )
+            scatter = f"{together.scatter:.4f}" if len(self.used) > 1 else ""
+            last = {"video": COMBINED, "scatter": scatter, "notes": self.without_error_bar}
+            rows.writerow({**self._value(together), **last})
         return text.getvalue()
 
-    def _interval(self, interval_90: tuple[float, float]) -> list[str]:
-        """Two cells; empty where the instrument has no error bar."""
-        return ["", ""] if self.without_error_bar else [f"{end:.4f}" for end in interval_90]
+    def _value(self, result: Prediction | Repeats) -> dict[str, str]:
+        """Cells of a coefficient and its interval; without it where there is no error bar."""
+        cells = {"friction_coefficient": f"{result.friction_coefficient:.4f}"}
+        if not self.without_error_bar:
+            for name, end in zip(("low", "high"), result.interval_90, strict=True):
+                cells[f"interval_90_{name}"] = f"{end:.4f}"
+        return cells
 
 
 def _cell(name: str) -> str:
