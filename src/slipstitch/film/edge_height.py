@@ -28,7 +28,7 @@ _MOST_BEHIND = 12  # frames: more would take longer and tell no more
 # have, on a grid this fine across and upwards.
 _SPAN_M, _ABOVE_M, _BELOW_M = SIDE_M / 2 - TAB_M - 0.004, 0.009, 0.020
 _ACROSS_M, _UP_M = 0.002, 0.0005
-# Of 160 simulations of ten fabrics: the sag falls off from the middle with this power of the
+# Of 27 simulations of the ten fabrics: the sag falls off from the middle with this power of the
 # distance, and the edge bulges ahead by so many times its sag. What is left of the height is an
 # error of this standard deviation.
 _POWER, _BULGE = 1.3, 3.0
