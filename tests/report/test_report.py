@@ -14,13 +14,19 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 from support import headless_browser, synthetic_results
-from support.refusal import refused
+from support.refusal import refused, run
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.page.templates import render
 from slipstitch.base.page.wording import duration, evenly, percent
-from slipstitch.base.provenance import file_digest, provenance_record, read_sidecar, write_sidecar
-from slipstitch.cli.main import main
+from slipstitch.base.provenance import (
+    file_digest,
+    provenance_record,
+    read_sidecar,
+    write_json,
+    write_sidecar,
+)
+from slipstitch.config import write_config
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.design.grid import simulations
 from slipstitch.learning.evaluation.metrics import entry
@@ -49,13 +55,13 @@ def whole(tmp_path_factory):
     return folder
 
 
+def page_of(folder, config=CONFIG):
+    return render(TEMPLATE, **page_context(Results(folder, config), NOW))
+
+
 @pytest.fixture(scope="module")
 def page(whole):
     return page_of(whole)
-
-
-def page_of(folder, config=CONFIG):
-    return render(TEMPLATE, **page_context(Results(folder, config), NOW))
 
 
 def text_of(page):
@@ -74,13 +80,18 @@ def table(page, title):
     ]
 
 
-def edit(folder, name, change):
-    """Change the content of a JSON file of evaluate/, and renew its record."""
-    path = folder / "evaluate" / name
+def edit(folder, name, change, stage="evaluate"):
+    """Change the content of a JSON file of a stage, and renew its record."""
+    path = folder / stage.partition(".")[0] / name
     content = json.loads(path.read_text())
     change(content)
     path.write_text(json.dumps(content))
-    write_sidecar(path, provenance_record("evaluate"))
+    write_sidecar(path, provenance_record(stage))
+
+
+def rows_of(page, title):
+    """What the cells of such a table say, by the first of their row."""
+    return {row[0]: row[1:] for row in table(page, title)}
 
 
 def test_the_page_needs_no_other_file_and_every_picture_has_a_text(page):
@@ -134,10 +145,9 @@ def test_criticism_and_audit_are_shown_and_damage_is_not_hidden(page, tmp_path):
 @pytest.mark.slow
 def test_the_headline_is_the_error_of_the_best_network_beside_the_best_probe(tmp_path):
     synthetic_results.write_evaluate(CONFIG, tmp_path, seeds=(0, 1, 2))
-    errors = {"by_simulation": (0.9, 0.01), "by_video": (0.5, 0.4)}
 
     def add_probes(metrics):
-        for split, (share, error) in errors.items():
+        for split, share, error in (("by_simulation", 0.9, 0.01), ("by_video", 0.5, 0.4)):
             scores = {"friction_lt_0.1": share, "mean_absolute_error": error}
             metrics[split][MIDDLE_FRAME] = entry(36, [0], scores)
 
@@ -160,26 +170,22 @@ def test_the_headline_is_the_error_of_the_best_network_beside_the_best_probe(tmp
     assert "on new videos of simulations that it saw; the best probe has 0.400" in text
 
 
-def test_the_mark_of_a_prediction_has_its_interval_or_that_of_its_distribution():
+def test_the_mark_of_a_prediction_has_its_interval_or_that_of_its_distribution(monkeypatch):
     common = {"split": "by_simulation", "network": "instrument", "seed": 0, "simulation": "m05_a",
               "true_value": 0.3, "predicted_value": 0.3}  # fmt: skip
     rows = [
         common | {"low": 0.25, "high": 0.4, "probabilities": [0.1]},
         common | {"low": None, "high": None, "probabilities": [0.04, 0.9, 0.06]},
     ]
-    scores = Scores({"by_simulation": {"instrument": entry(2, [0], {"mean_absolute_error": 0.0,
-                     "friction_lt_0.1": 1.0})}}, {})  # fmt: skip
-    drawn = []
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            "slipstitch.report.headline.predicted_against_true", lambda own, _: drawn.extend(own)
-        )
-        headline(CONFIG, scores, rows)
+    known = entry(2, [0], {"mean_absolute_error": 0.0, "friction_lt_0.1": 1.0})
+    drawn, draw = [], "slipstitch.report.headline.predicted_against_true"
+    monkeypatch.setattr(draw, lambda own, _: drawn.extend(own))
+    headline(CONFIG, Scores({"by_simulation": {"instrument": known}}, {}), rows)
     assert [(row["low"], row["high"]) for row in drawn] == [(0.25, 0.4), (0.3, 1.0)]
 
 
 def test_table_2_shows_every_figure_of_the_paper_beside_ours(page):
-    rows = {row[0]: row[1:] for row in table(page, "Table 2")}
+    rows = rows_of(page, "Table 2")
     size = "36 videos, 6 simulations, one seed only"
     assert rows["share of test videos"] == [
         "paper (384 videos)", f"ours by video ({size})",
@@ -208,7 +214,7 @@ def test_an_unseen_texture_stands_beside_the_papers_and_beside_seen_ones(tmp_pat
             seen["mean"]["friction_lt_0.1"] = share
 
     edit(tmp_path, "details.json", other)
-    rows = {row[0]: row[1:] for row in table(page_of(tmp_path), "Section 6.2.1")}
+    rows = rows_of(page_of(tmp_path), "Section 6.2.1")
     # The paper's are of one view, so those from the calibrated view come first.
     assert [head.partition(" (")[0] for head in rows["share of test videos"]] == [
         "paper", "ours, calibrated view", "ours, all views", "ours, trained textures"
@@ -232,8 +238,8 @@ def test_of_the_calibrated_view_and_of_turned_ones_the_fine_tuned_networks_are_s
 
     edit(tmp_path, "details.json", add)
     page = page_of(tmp_path)
-    rows = {row[0]: row[1:] for row in table(page, "Table 2")}
-    assert rows["conditional network: error < 0.1"] == ["95.5 %", "91.7 %", "25.0 %"]
+    shares = rows_of(page, "Table 2")["conditional network: error < 0.1"]
+    assert shares == ["95.5 %", "91.7 %", "25.0 %"]
     head, *rows = table(page, "Table 3")
     assert [row[head.index("conditional network, < 0.1")] for row in rows] == ["25.0 %"] * 2
     assert model_title("lrcn_conditional_calibrated").startswith("conditional network, fine-tuned")
@@ -244,7 +250,7 @@ def test_every_turn_of_the_camera_has_its_own_scores_with_their_spread(tmp_path)
     synthetic_results.write_evaluate(CONFIG, tmp_path, {"by_video": 32, **turned}, (0, 1, 2))
     page = page_of(tmp_path)
     # 32, 34 and 30 of 36: a standard deviation of 2 / 36.
-    rows = {row[0]: row[1:] for row in table(page, "Table 2")}
+    rows = rows_of(page, "Table 2")
     assert rows["share of test videos"][1].endswith("(36 videos, 6 simulations, 3 seeds)")
     assert rows["baseline network: error < 0.1"][1] == "88.9 ± 5.6 %"
     assert "88.9 ± 5.6" in table(page, "All test sets")[2]
@@ -256,13 +262,11 @@ def test_every_turn_of_the_camera_has_its_own_scores_with_their_spread(tmp_path)
         ["0°", "12", "not printed", "not printed"],
         ["+5°", "36", "75.0 %", "80.0 %"], ["+15°", "36", "50.0 %", "65.0 %"],
     ]  # fmt: skip
-    baseline, conditional = (
-        head.index(f"{name} network, < 0.1") for name in ("baseline", "conditional")
-    )
     # At 0 degrees 11, 12 and 10 of 12.
     shares = ["16.7 ± 5.6 %", "30.6 ± 5.6 %", "91.7 ± 8.3 %", "83.3 ± 5.6 %", "25.0 ± 5.6 %"]
-    assert [row[baseline] for row in rows] == shares
-    assert rows[1][conditional] == "33.3 ± 5.6 %"  # one video more
+    assert [row[head.index("baseline network, < 0.1")] for row in rows] == shares
+    # One video more.
+    assert rows[1][head.index("conditional network, < 0.1")] == "33.3 ± 5.6 %"
 
 
 @pytest.mark.slow
@@ -270,7 +274,7 @@ def test_captures_stand_beside_the_papers(tmp_path):
     synthetic_results.write_evaluate(CONFIG, tmp_path)
     synthetic_results.write_captures(tmp_path, seeds=(0, 1))
     page = page_of(tmp_path)
-    rows = {row[0]: row[1:] for row in table(page, "Figure 6")}
+    rows = rows_of(page, "Figure 6")
     # The paper counts pairs, so its figures stand beside medians, not beside single films.
     assert rows["tested on"][7:] == ["medians < 0.1", "medians within 0.1", "all repeats equal"]
     assert rows["paper, real videos: all"][8:] == ["61.9 %", "76.2 %"]
@@ -299,10 +303,8 @@ def test_the_papers_last_curve_is_of_the_second_training_set(tmp_path, monkeypat
     for row in captured[15:]:  # seed 1 on the mirror: 0.26 off the reference in the median
         row["friction"] += 0.3
     pq.write_table(pa.Table.from_pylist(captured), path)
-    panels = {}
-    monkeypatch.setattr(
-        "slipstitch.report.learning_pictures.cumulative", lambda drawn, _: panels.update(drawn)
-    )
+    panels, draw = {}, "slipstitch.report.learning_pictures.cumulative"
+    monkeypatch.setattr(draw, lambda drawn, _: panels.update(drawn))
     rows = table(page_of(tmp_path), "Figure 6")
     curves = panels["conditional network, by video"]
     assert sorted(curves["all captures"].round(2)) == [0.0, 0.0]  # a pair each, not a video
@@ -343,20 +345,15 @@ def test_a_convergence_study_is_shown_with_what_is_not_converged(whole, tmp_path
                 "worst_m": 0.03, "shifted_mean_m": 4e-4, "event_shift_s": 0.3,
                 "events_missing": ["flip"], "verdict": "not converged"}  # fmt: skip
     simulated = {**SimulationSettings().model_dump(mode="json"), "bending_stiffness_at": "start"}
+    demand = {"window_s": 38, "mean_distance_m": 1e-3, "vertices_per_side": [41, 61]}
     study = {
-        "settings": {
-            "convergence": {"window_s": 38, "mean_distance_m": 1e-3, "vertices_per_side": [41, 61]},
-            "time_step_s": 0.02,
-            "simulation": simulated,
-        },
+        "settings": {"convergence": demand, "time_step_s": 0.02, "simulation": simulated},
         "summary": [{"material": "royal-target", "friction": 0.5, "time_step": distance,
                      "mesh": distance | {"verdict": "converged"}}],
         "missing": ["m09_f0300_n61_h0"],
     }  # fmt: skip
-    folder = tmp_path / "results"
-    shutil.copytree(whole, folder)
-    (folder / "published" / "convergence").mkdir(parents=True)
-    (folder / "published" / "convergence" / "convergence.json").write_text(json.dumps(study))
+    folder = shutil.copytree(whole, tmp_path / "results")
+    write_json(folder / "published" / "convergence" / "convergence.json", study)
     page = page_of(folder)
     assert table(page, "Time step and mesh")[1:] == [
         ["royal-target 0.5", "time step over 2", "0.5 mm", "2.5 mm", "30 mm",
@@ -369,21 +366,20 @@ def test_a_convergence_study_is_shown_with_what_is_not_converged(whole, tmp_path
 
 
 def test_the_check_nearest_to_its_limit_is_shown_and_all_that_are_not_met(whole, tmp_path):
-    rows = {row[0]: row[1:] for row in table(page_of(whole), "Checks against theory")}
+    rows = rows_of(page_of(whole), "Checks against theory")
     assert rows["flat drag pull over weight"] == ["3 of 3", "0.1 %", "0.5 %"]
     assert len(rows) == 7
     shutil.copytree(whole / "calibrate", tmp_path / "calibrate")
-    path = tmp_path / "calibrate/calibration.json"
-    calibration = json.loads(path.read_text())
-    missed = [check for check in calibration["checks"] if check["name"] == "strip-drag pull"][:2]
-    for check in missed:
-        check["met"] = False
-    path.write_text(json.dumps(calibration))
-    write_sidecar(path, provenance_record("calibrate.calibration"))
+
+    def miss_two(calibration):
+        pulls = (one for one in calibration["checks"] if one["name"] == "strip-drag pull")
+        for check in (next(pulls), next(pulls)):
+            check["met"] = False
+
+    edit(tmp_path, "calibration.json", miss_two, "calibrate.calibration")
     page = page_of(tmp_path)
-    assert [row[1] for row in table(page, "Checks") if row[0] == "strip drag pull"] == [
-        "3 of 5"
-    ] * 2
+    pulls = [row[1] for row in table(page, "Checks") if row[0] == "strip drag pull"]
+    assert pulls == ["3 of 5"] * 2
     assert "23 of 25 checks are met" in text_of(page)
 
 
@@ -450,12 +446,9 @@ def test_costs_add_up_over_jobs_and_an_unknown_one_is_a_dash(whole, tmp_path):
 
 def test_the_interval_of_the_share_counts_simulations():
     def found(error):
+        known = {"seed": 0, "true_value": 0.2}
         return share_interval(
-            [
-                {"seed": 0, "simulation": f"{k}", "true_value": 0.2}
-                | {"predicted_value": 0.2 + error * k}
-                for k in range(4)
-            ]
+            [known | {"simulation": k, "predicted_value": 0.2 + error * k} for k in range(4)]
         )
 
     # All of four simulations right says little of the next.
@@ -472,37 +465,33 @@ def test_pictures_are_of_their_time_also_where_more_phases_are_kept(monkeypatch,
         sample={"frames": 10, "phases": 2},
     )  # fmt: skip
     synthetic_results.write_render_and_sample(config, tmp_path)
-    asked = []
-    images = Results.images
-    monkeypatch.setattr(
-        Results,
-        "images",
-        lambda self, row, positions: asked.append(list(positions)) or images(self, row, positions),
-    )
+    asked, images = [], Results.images
+
+    def noted(self, row, positions):
+        asked.append(list(positions))
+        return images(self, row, positions)
+
+    monkeypatch.setattr(Results, "images", noted)
     dataset(Results(tmp_path, config))
     file = tmp_path / "sample" / f"{simulations(config)[0].id}.parquet"
     time_s = pq.read_table(file, columns=["time_s"])["time_s"].to_pylist()
-    for positions in asked:
-        if len(positions) == 1:
-            assert time_s[positions[0]] == pytest.approx(22.5, abs=time_s[1] / 2)
-        else:
-            assert (positions[0], positions[-1]) == (0, 19)
-    assert {len(positions) for positions in asked} == {1, 10}
+    single, series = ([one for one in asked if len(one) == count] for count in (1, 10))
+    assert single and series and len(single) + len(series) == len(asked)
+    shown_s = np.array([time_s[place] for (place,) in single])
+    assert shown_s == pytest.approx(22.5, abs=time_s[1] / 2)
+    assert {(one[0], one[-1]) for one in series} == {(0, 19)}
 
 
-def words_of(folder):
+def command_of(folder):
     """The command that writes a page of results."""
-    (folder / "config.json").write_text(CONFIG.model_dump_json())
-    words = ["report", "--config", folder / "config.json", "--out", folder / "index.html"]
-    return [*map(str, words), "--results", str(folder / "results")]
+    write_config(CONFIG, folder / "c.json")
+    return f"report --config {folder}/c.json --out {folder}/index.html --results {folder}/results"
 
 
 def test_predictions_of_another_grid_are_refused_in_one_line(tmp_path, capsys):
-    other = synthetic_results.config(
-        grid={"materials": ["gray-interlock"], "frictions": [0.0, 0.3, 1.0], "replicates": 2}
-    )
-    synthetic_results.write_evaluate(other, tmp_path / "results")
-    said = refused(capsys, words_of(tmp_path))
+    other = {"materials": ["gray-interlock"], "frictions": [0.0, 0.3, 1.0], "replicates": 2}
+    synthetic_results.write_evaluate(synthetic_results.config(grid=other), tmp_path / "results")
+    said = refused(capsys, command_of(tmp_path))
     assert "predictions.parquet: friction_conditional by_simulation has friction 0, not" in said
     assert "grid's: 0.1, 0.3, 1; evaluate again" in said
     assert not (tmp_path / "index.html").exists()
@@ -530,8 +519,7 @@ def test_equal_input_gives_an_equal_page_whose_time_can_be_set(whole, page, monk
 
 
 def test_the_record_names_everything_that_the_page_shows(monkeypatch, whole, tmp_path):
-    folder = tmp_path / "results"
-    shutil.copytree(whole, folder)
+    folder = shutil.copytree(whole, tmp_path / "results")
     synthetic_results.write_captures(folder)
     simulated = [one.id for one in simulations(CONFIG)]
     (folder / "render" / "preview" / f"{simulated[0]}.mp4").write_bytes(b"film")
@@ -571,9 +559,9 @@ def test_a_damaged_file_is_named_and_no_page_is_left(place, tmp_path):
 
 
 def test_the_verb_and_the_page_of_an_empty_folder_say_what_was_not_run(tmp_path, capsys):
-    assert "results: no such folder" in refused(capsys, words_of(tmp_path))
+    assert "results: no such folder" in refused(capsys, command_of(tmp_path))
     (tmp_path / "results").mkdir()
-    assert main(words_of(tmp_path)) == 0
+    assert run(command_of(tmp_path)) == 0
     shown = capsys.readouterr().out
     assert "not run: calibrate, simulate, render, sample, train, evaluate" in shown
     text = text_of((tmp_path / "index.html").read_text())

@@ -1,6 +1,5 @@
 """`slipstitch status` on journals of made-up runs: jobs by stage, failures, what jobs cost."""
 
-import json
 import logging
 import os
 import re
@@ -8,10 +7,9 @@ from datetime import UTC, datetime
 from types import SimpleNamespace
 
 import pytest
-from support.refusal import refused
+from support.refusal import refused, run
 
 from slipstitch.base.page.templates import render
-from slipstitch.cli.main import main
 from slipstitch.config import Config, write_config
 from slipstitch.design.cost import job_costs_s
 from slipstitch.report.cost import benchmarks, read_benchmark
@@ -78,13 +76,9 @@ class Bench:
     def fail(self, number, log="first line\n\nlast line\n"):
         name = NAMES[number]
         self.write(f"logs/simulate/{name}.log", log)
-        self.tell(
-            "job_error",
-            jobid=number,
-            rule_name="simulate_one",
-            output=[f"results/simulate/{name}.parquet"],
-            log=[f"results/logs/simulate/{name}.log"],
-        )
+        files = {"output": [f"results/simulate/{name}.parquet"]}
+        files["log"] = [f"results/logs/simulate/{name}.log"]
+        self.tell("job_error", jobid=number, rule_name="simulate_one", **files)
 
     def write(self, file, content):
         path = self.results / file
@@ -189,8 +183,7 @@ def test_the_report_lists_failures_and_retries(bench):
     bench.fail(0)
     bench.start(0)
     bench.finish(0)
-    config = Config()
-    results = Results(bench.results, config)
+    results = Results(bench.results, Config())
     results.simulated = lambda: []
     page = render(TEMPLATE, **page_context(results, datetime.now(UTC)))
     assert f"results/simulate/{NAMES[0]}.parquet" in page
@@ -209,18 +202,18 @@ def test_the_end_of_a_log_is_short_and_a_stage_the_folder_below_results(tmp_path
 
 
 def test_the_verb_fails_where_the_run_failed_and_says_where_nothing_was_run(bench, capsys):
-    words = ["status", "--results", str(bench.results)]
-    assert "no such folder" in refused(capsys, [*words[:-1], bench.results / "none"])
-    assert main(words) == 0
+    command = f"status --results {bench.results}"
+    assert "no such folder" in refused(capsys, f"{command}/none")
+    assert run(command) == 0
     assert "no snakemake run has started a job here" in capsys.readouterr().out
     bench.begin()
     bench.fail(0)
     bench.journal.end(success=False)
     write_config(Config(), bench.results / "config.json")
-    assert main(words) == 1
+    assert run(command) == 1
     assert "last line" in capsys.readouterr().out
-    (bench.results / "status/plan.json").write_text(json.dumps({"jobs": [{}]}))
-    assert "plan.json: damaged" in refused(capsys, words)
+    bench.write("status/plan.json", '{"jobs": [{}]}')
+    assert "plan.json: damaged" in refused(capsys, command)
 
 
 def test_the_last_job_of_a_stage_says_the_share_of_the_run_and_the_time_left():
