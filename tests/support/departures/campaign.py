@@ -331,35 +331,25 @@ def write_case(folder, name, tables, nominal, protocols):
     folder.mkdir(parents=True, exist_ok=True)
     for table, content in tables.items():
         content.to_csv(folder / f"{table}.csv", index=False)
-    meta = {
-        "case": name,
-        "protocols": list(protocols),
-        "reversal_dwell_s": nominal["reversal_dwell_s"],
-        "nominal": {k: v for k, v in nominal.items() if k != "reversal_dwell_s"},
-    }
+    nominal = dict(nominal)
+    meta = {"case": name, "protocols": list(protocols)}
+    meta |= {"reversal_dwell_s": nominal.pop("reversal_dwell_s"), "nominal": nominal}
     (folder / "meta.json").write_text(json.dumps(meta, indent=1) + "\n", encoding="utf-8")
 
 
 def truth_of(plan):
     """All that a score needs to know."""
     names = tuple(plan.effects)
-    truth = {
-        "seed": plan.seed,
-        "family": plan.family,
-        "departures": plan.departures,
+    as_they_are = (
+        *("seed", "family", "departures", "effects", "mu_face", "mu_edge", "faults", "fault_kind"),
+        *("missing", "sorted_by", "units"),
+    )
+    truth = {name: getattr(plan, name) for name in as_they_are} | {
         "protocols": list(plan.protocols),
-        "effects": plan.effects,
-        "mu_face": plan.mu_face,
-        "mu_edge": plan.mu_edge,
         "scatter": {p: [round(float(x), 4) for x in s] for p, s in plan.scatter.items()},
         "understated": round(plan.understated, 3),
-        "faults": plan.faults,
-        "fault_kind": plan.fault_kind,
-        "missing": plan.missing,
         "uneven_track": sorted(plan.tracks),
         "tie": list(plan.tie),
-        "sorted_by": plan.sorted_by,
-        "units": plan.units,
         "lambda": 0.0,
         "separation": 0.0,
         "each": [],

@@ -2,16 +2,15 @@
 
 import numpy as np
 
-from support.departures.laws import GRAVITY_M_S2, friction_limit
+from support.departures.laws import GRAVITY_M_S2, friction_limit, tilt_of
 
 
 def loads(rows, effects, rho_kg_m2):
     """(normal load, downhill pull towards +x), both in N."""
     mass = rho_kg_m2 * (1 + effects.get("mass_error", {}).get("mass_error", 0.0))
     weight = (mass * rows["area_m2"] + rows["added_kg"]) * GRAVITY_M_S2
-    tilt = effects.get("tilt", {"tilt": 0.0, "tilt_azimuth": 0.0})
-    towards = np.cos(np.radians(rows["azimuth_deg"] - tilt["tilt_azimuth"]))
-    lean = np.radians(tilt["tilt"])
+    tilt, towards = tilt_of(effects, rows["azimuth_deg"])
+    lean = np.radians(tilt)
     return weight * np.cos(lean), weight * np.sin(lean) * towards
 
 

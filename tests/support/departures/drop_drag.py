@@ -11,7 +11,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from support.departures.laws import GRAVITY_M_S2, friction_limit
+from support.departures.laws import GRAVITY_M_S2, friction_limit, tilt_of
 from support.departures.strip import chebyshev
 
 NODES = 32
@@ -119,9 +119,8 @@ def runs(rows, coefficient, effects, nominal, travel_mm, back_mm, step_mm, track
         ``stage_mm`` (steps,), ``back`` (steps,), ``edge_mm`` and ``contact_mm`` (steps, runs), edge
         from its start, in true lengths; ``first_mm`` (runs,): the stage at the first motion.
     """
-    tilt = effects.get("tilt", {"tilt": 0.0, "tilt_azimuth": 0.0})
-    towards = np.cos(np.radians(rows["azimuth_deg"] - tilt["tilt_azimuth"]))
-    leans = np.arctan(np.tan(np.radians(tilt["tilt"])) * towards)
+    tilt, towards = tilt_of(effects, rows["azimuth_deg"])
+    leans = np.arctan(np.tan(np.radians(tilt)) * towards)
     out = np.arange(round(travel_mm / step_mm) + 1) * step_mm
     rev = travel_mm - np.arange(1, round(back_mm / step_mm) + 1) * step_mm
     stage = np.concatenate([out, rev])
@@ -150,13 +149,8 @@ def runs(rows, coefficient, effects, nominal, travel_mm, back_mm, step_mm, track
         gap = cloth.gap[0] + (stage - edge[:, j]) * 1e-3
         contact[:, j] = np.interp(gap, cloth.gap, cloth.contact) * 1e3
     back = np.repeat([False, True], [len(out), len(rev)])
-    return {
-        "stage_mm": stage,
-        "back": back,
-        "edge_mm": edge,
-        "contact_mm": contact,
-        "first_mm": first,
-    }
+    found = {"stage_mm": stage, "back": back, "edge_mm": edge}
+    return found | {"contact_mm": contact, "first_mm": first}
 
 
 WINDOWS = 3

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from support.departures.laws import GRAVITY_M_S2, friction_limit
+from support.departures.laws import GRAVITY_M_S2, friction_limit, tilt_of
 
 
 def slip_angle_deg(rows, coefficient, effects, rho_kg_m2, steps=60):
@@ -23,6 +23,5 @@ def slip_angle_deg(rows, coefficient, effects, rho_kg_m2, steps=60):
         )
         slips = weight * np.sin(slope) > bearable
         high, low = np.where(slips, slope, high), np.where(slips, low, slope)
-    tilt = effects.get("tilt", {"tilt": 0.0, "tilt_azimuth": 0.0})
-    lean = tilt["tilt"] * np.cos(np.radians(rows["azimuth_deg"] - tilt["tilt_azimuth"]))
-    return np.degrees((low + high) / 2) - lean
+    tilt, towards = tilt_of(effects, rows["azimuth_deg"])
+    return np.degrees((low + high) / 2) - tilt * towards

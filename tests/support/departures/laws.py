@@ -62,20 +62,8 @@ BOUNDS = {
     "force_gain": (0.005, 0.25, True),
     "time_lag": (0.01, 0.8, False),
 }
-OUTSIDE = (
-    "patch",
-    "periodic",
-    "memory",
-    "operator_habit",
-    "threefold",
-    "oblique",
-    "stribeck",
-    "thermal",
-    "cleaning",
-    "load_step",
-    "dwell_peak",
-)
 LIBRARY = tuple(BOUNDS)
+OUTSIDE = tuple(name for name in REFERENCE if name not in (*LIBRARY, "time_drift"))
 
 
 def scaled(name, share, **fixed):
@@ -93,6 +81,12 @@ def share_of(name, values):
     if name == "camera_scale":
         return (values[name] - 1) / (REFERENCE[name][name] - 1)
     return values[name] / REFERENCE[name][name]
+
+
+def tilt_of(effects, azimuth_deg):
+    """Tilt of the floor (deg), and the cosine between a direction and that in which it falls."""
+    tilt = effects.get("tilt", {"tilt": 0.0, "tilt_azimuth": 0.0})
+    return tilt["tilt"], np.cos(np.radians(azimuth_deg - tilt["tilt_azimuth"]))
 
 
 def friction_limit(contact, coefficient, effects, moving):

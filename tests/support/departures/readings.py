@@ -74,9 +74,8 @@ def _drag(plan, rng, table, faults):
     values = rows(plan, "drag")
     grain = _grain(plan, rng, len(table), STROKE_MM)
     mu = scattered(plan, "drag", rng)
-    trace = drag.strokes(
-        values, mu, plan.effects, plan.nominal, STROKE_MM, step, grain, plan.tracks.get("drag")
-    )
+    track = plan.tracks.get("drag")
+    trace = drag.strokes(values, mu, plan.effects, plan.nominal, STROKE_MM, step, grain, track)
     u = plan.noise["drag"]
     half = len(trace["stage_mm"]) // 2
     shift_mm, delay = faults.size("x_stage_mm", "zero"), faults.size("force_mN", "delay")
@@ -94,18 +93,15 @@ def _drag(plan, rng, table, faults):
         back = stroke == 1
         elapsed = (index % half) * step / speed
         elapsed = elapsed + back * (STROKE_MM / speed + plan.nominal["reversal_dwell_s"])
-        frames.append(
-            pd.DataFrame(
-                {
-                    "run_id": run.run_id,
-                    "stroke": stroke,
-                    "t_s": elapsed.round(4),
-                    "x_stage_mm": (trace["stage_mm"][index] + shift_mm).round(3),
-                    "v_mm_s": np.where(back, -speed, speed),
-                    "force_mN": reading.round(3),
-                }
-            )
-        )
+        columns = {
+            "run_id": run.run_id,
+            "stroke": stroke,
+            "t_s": elapsed.round(4),
+            "x_stage_mm": (trace["stage_mm"][index] + shift_mm).round(3),
+            "v_mm_s": np.where(back, -speed, speed),
+            "force_mN": reading.round(3),
+        }
+        frames.append(pd.DataFrame(columns))
     table["u_force_mN"] = u
     return {"drag_runs": table, "drag": pd.concat(frames, ignore_index=True)}
 
@@ -115,30 +111,18 @@ def _drop_drag(plan, rng, table, faults):
     values = rows(plan, "drop_drag")
     short = faults.size("x_stage_mm", "turn")
     mu = scattered(plan, "drop_drag", rng)
-    trace = drop_drag.runs(
-        values,
-        mu,
-        plan.effects,
-        plan.nominal,
-        TRAVEL_MM - short,
-        BACK_MM - short,
-        step,
-        plan.tracks.get("drop_drag"),
-    )
+    way = (TRAVEL_MM - short, BACK_MM - short, step)
+    track = plan.tracks.get("drop_drag")
+    trace = drop_drag.runs(values, mu, plan.effects, plan.nominal, *way, track)
     u = plan.noise["drop_drag"]
     scale = plan.effects.get("camera_scale", {}).get("camera_scale", 1.0)
     lag = plan.effects.get("time_lag", {}).get("time_lag", 0.0)
     hold = round(2 * short / step)  # steps that the commanded stage goes on without the real one
     turn = int(np.argmax(trace["back"]))
-    commanded = np.concatenate(
-        [
-            np.arange(round(TRAVEL_MM / step) + 1) * step,
-            TRAVEL_MM - np.arange(1, round(BACK_MM / step) + 1) * step,
-        ]
-    )
-    source = np.concatenate(
-        [np.arange(turn), np.full(hold, turn - 1), np.arange(turn, len(trace["back"]))]
-    )[: len(commanded)]
+    out = np.arange(round(TRAVEL_MM / step) + 1) * step
+    commanded = np.append(out, TRAVEL_MM - np.arange(1, round(BACK_MM / step) + 1) * step)
+    source = np.insert(np.arange(len(trace["back"])), turn, np.full(hold, turn - 1))
+    source = source[: len(commanded)]
     frames = []
     slow = faults.size("contact_len_mm", "delay")
     for j, run in enumerate(table.itertuples()):
@@ -154,19 +138,16 @@ def _drop_drag(plan, rng, table, faults):
         contact = scale * shown("contact_mm", lag + slow)
         # Where the stage's zero is off, the record starts before or after the real start.
         zero = faults.size("x_stage_mm", "zero")
-        frames.append(
-            pd.DataFrame(
-                {
-                    "run_id": run.run_id,
-                    "frame": np.arange(len(index)),
-                    "phase": np.where(index > round(TRAVEL_MM / step), "rev", "fwd"),
-                    "t_s": (index * step / run.speed_mm_s).round(4),
-                    "x_stage_mm": (commanded[index] + zero).round(3),
-                    "te_x_mm": edge.round(3),
-                    "contact_len_mm": faults.read(rng, "contact_len_mm", contact, noise).round(3),
-                }
-            )
-        )
+        columns = {
+            "run_id": run.run_id,
+            "frame": np.arange(len(index)),
+            "phase": np.where(index > round(TRAVEL_MM / step), "rev", "fwd"),
+            "t_s": (index * step / run.speed_mm_s).round(4),
+            "x_stage_mm": (commanded[index] + zero).round(3),
+            "te_x_mm": edge.round(3),
+            "contact_len_mm": faults.read(rng, "contact_len_mm", contact, noise).round(3),
+        }
+        frames.append(pd.DataFrame(columns))
     table["u_pos_mm"] = u
     return {"drop_drag_runs": table, "drop_drag": pd.concat(frames, ignore_index=True)}
 
@@ -183,25 +164,17 @@ def _spring_slider(plan, rng, table, faults):
         chosen = np.flatnonzero(values["speed_mm_s"] == speed)
         some = {k: v[chosen] for k, v in values.items()}
         loading = 1e3 * (mu * forces[0] / values["spring_N_m"])[chosen].max()
-        time, force = spring_slider.motion(
-            some,
-            mu[chosen],
-            plan.effects,
-            tuple(f[chosen] for f in forces),
-            (SLIDE_MM + loading) / speed,
-            sample,
-            plan.tracks.get("spring_slider"),
-            plan.damping,
-        )
+        loads, duration_s = tuple(f[chosen] for f in forces), (SLIDE_MM + loading) / speed
+        of_bench = sample, plan.tracks.get("spring_slider"), plan.damping
+        law = mu[chosen], plan.effects
+        time, force = spring_slider.motion(some, *law, loads, duration_s, *of_bench)
         for k, j in enumerate(chosen):
             run = table.iloc[j]
             index = faults.keep(rng, len(time))
-            reading = faults.read(
-                rng, "force_mN", force[index, k] * 1e3, u * plan.understated, run["clock_min"]
-            )
-            frames[j] = pd.DataFrame(
-                {"run_id": run["run_id"], "t_s": time[index].round(5), "force_mN": reading.round(3)}
-            )
+            exact, noise = force[index, k] * 1e3, u * plan.understated
+            reading = faults.read(rng, "force_mN", exact, noise, run["clock_min"]).round(3)
+            columns = {"run_id": run["run_id"], "t_s": time[index].round(5), "force_mN": reading}
+            frames[j] = pd.DataFrame(columns)
     table["u_force_mN"] = u
     trace = pd.concat([frames[j] for j in sorted(frames)], ignore_index=True)
     return {"spring_slider_runs": table, "spring_slider": trace}

@@ -61,15 +61,9 @@ REPORTABLE = ("noise", "zero", "scale", "drift", "delay", "turn")
 def draw_fault(rng, protocol, entry):
     """One fault with its size."""
     sensor, column, kind, low, high, unit, signed = entry
-    size = rng.uniform(low, high) * (rng.choice([-1, 1]) if signed else 1)
-    return {
-        "protocol": protocol,
-        "sensor": sensor,
-        "quantity": column,
-        "kind": kind,
-        "size": round(float(size), 5),
-        "unit": unit,
-    }
+    size = round(float(rng.uniform(low, high) * (rng.choice([-1, 1]) if signed else 1)), 5)
+    fault = {"protocol": protocol, "sensor": sensor, "quantity": column, "kind": kind}
+    return fault | {"size": size, "unit": unit}
 
 
 def draw_faults(rng, protocols, how):

@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
-from support.departures.laws import GRAVITY_M_S2, friction_limit
+from support.departures.laws import GRAVITY_M_S2, friction_limit, tilt_of
 
 NODES = 24
 
@@ -93,9 +93,8 @@ def slip_strain(rows, coefficient, effects, nominal):
     length, width = rows["length_m"], rows["width_m"]
     gamma = rho * GRAVITY_M_S2 * length**3 / rigidity
     unit_N = rigidity * width / length**2
-    tilt = effects.get("tilt", {"tilt": 0.0, "tilt_azimuth": 0.0})
-    lean = tilt["tilt"] * np.cos(np.radians(rows["azimuth_deg"] - tilt["tilt_azimuth"]))
-    lean = np.radians(lean)
+    tilt, towards = tilt_of(effects, rows["azimuth_deg"])
+    lean = np.radians(tilt * towards)
     strain, slipped = np.empty(len(gamma)), np.zeros(len(gamma), bool)
     coefficient = np.broadcast_to(coefficient, gamma.shape)
     for i in range(len(gamma)):

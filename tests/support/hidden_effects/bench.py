@@ -14,29 +14,10 @@ from support.departures.campaign import write_case
 from support.departures.design import rows_of
 from support.departures.drop_drag import Cloth
 from support.departures.incline import slip_angle_deg
-from support.departures.laws import friction_limit
+from support.departures.laws import LIBRARY, friction_limit, tilt_of
 from support.departures.strip import slip_strain
 from support.hidden_effects.slider_bench import G, spring_slider
 
-LIBRARY = (
-    "load_power",
-    "adhesion",
-    "static_kinetic",
-    "ageing",
-    "rate",
-    "anisotropy",
-    "nap",
-    "wear",
-    "humidity",
-    "tilt",
-    "mass_error",
-    "bending_error",
-    "backlash",
-    "camera_scale",
-    "force_offset",
-    "force_gain",
-    "time_lag",
-)
 OUTSIDE = ("patch", "thermal_cycle", "threefold", "load_bump", "operator", "dwell_peak")
 NEEDS_PROTOCOL = {
     "backlash": ("drag",),
@@ -152,8 +133,8 @@ class World:
         return friction_limit(contact, self.mu_face * row["scatter"], self.effects, moving)
 
     def downhill(self, azimuth_deg):
-        tilt = self.effects.get("tilt", {"tilt": 0.0, "tilt_azimuth": 0.0})
-        return np.radians(tilt["tilt"]) * np.cos(np.radians(azimuth_deg - tilt["tilt_azimuth"]))
+        tilt, towards = tilt_of(self.effects, azimuth_deg)
+        return np.radians(tilt) * towards
 
 
 def _each(rows):
@@ -227,8 +208,7 @@ def _strip(rng, world, noise, options, switch):
     table = _common(rng, "b", rng.integers(6, 12), rng.integers(3, 6), noise, options)
     n = len(table)
     table["azimuth_deg"] = rng.choice([0.0, 90.0, 180.0, 270.0], n)
-    lengths = [30.0, 45.0, 60.0]
-    table["length_mm"] = rng.choice(lengths, n)
+    table["length_mm"] = rng.choice([30.0, 45.0, 60.0], n)
     table["width_mm"] = rng.choice([8.0, 12.0, 16.0], n)
     table["ply"] = rng.choice([1.0, 2.0], n)
     table["push_speed_mm_s"] = 0.5
@@ -249,10 +229,8 @@ def _drag(rng, world, noise, options, switch):
     n = len(table)
     table["stage_azimuth_deg"] = rng.choice([0.0, 90.0, 180.0, 270.0], n)
     table["area_cm2"] = rng.choice([50.0, 100.0, 200.0], n) if options["area"] != "fixed" else 100.0
-    masses = [0.0, 10.0, 30.0, 100.0]
-    table["added_mass_g"] = rng.choice(masses, n)
-    speeds = [1.0, 3.0, 10.0, 30.0]
-    table["speed_mm_s"] = rng.choice(speeds, n)
+    table["added_mass_g"] = rng.choice([0.0, 10.0, 30.0, 100.0], n)
+    table["speed_mm_s"] = rng.choice([1.0, 3.0, 10.0, 30.0], n)
     table["u_force_mN"] = noise["u_force"]
     spring = world.nominal["k_tether_N_m"]
     step, reach = 0.1, 40.0
@@ -298,18 +276,15 @@ def _drag(rng, world, noise, options, switch):
             noisy = values + switch * noise["u_force"] * noise["understated"] * (
                 rng.standard_normal(points)
             )
-            traces.append(
-                pd.DataFrame(
-                    {
-                        "run_id": run_id,
-                        "stroke": stroke,
-                        "t_s": (np.arange(points) * step / row["speed_mm_s"]).round(4),
-                        "x_stage_mm": path.round(4),
-                        "v_mm_s": direction * row["speed_mm_s"],
-                        "force_mN": noisy.round(4),
-                    }
-                )
-            )
+            columns = {
+                "run_id": run_id,
+                "stroke": stroke,
+                "t_s": (np.arange(points) * step / row["speed_mm_s"]).round(4),
+                "x_stage_mm": path.round(4),
+                "v_mm_s": direction * row["speed_mm_s"],
+                "force_mN": noisy.round(4),
+            }
+            traces.append(pd.DataFrame(columns))
     return {"drag_runs": table, "drag": pd.concat(traces, ignore_index=True)}
 
 
@@ -317,10 +292,8 @@ def _drop_drag(rng, world, noise, options, switch):
     table = _common(rng, "d", rng.integers(5, 9), rng.integers(2, 5), noise, options)
     n = len(table)
     table["stage_azimuth_deg"] = rng.choice([0.0, 90.0, 180.0, 270.0], n)
-    heights = [70.0, 100.0, 130.0]
-    table["height_mm"] = rng.choice(heights, n)
-    speeds = [3.0, 10.0, 20.0]
-    table["speed_mm_s"] = rng.choice(speeds, n)
+    table["height_mm"] = rng.choice([70.0, 100.0, 130.0], n)
+    table["speed_mm_s"] = rng.choice([3.0, 10.0, 20.0], n)
     table["u_pos_mm"] = noise["u_pos"]
     scale, lag = world.get("camera_scale", 1.0), world.get("time_lag")
     frames, cloths = [], {}
@@ -469,16 +442,8 @@ def make_case(seed, kind, folder, noise_free=False, draw=0, effect_free=False, p
         if name in protocols:
             own = np.random.default_rng([seed, 11, i, draw])
             tables |= builders[name](own, world, noise, options, switch)
-    truth = {
-        "seed": seed,
-        "kind": kind,
-        "effects": effects,
-        "nominal": nominal,
-        "noise": noise,
-        "mu_face": mu_face,
-        "mu_edge": mu_edge,
-        "protocols": sorted(protocols),
-    }
+    truth = {"seed": seed, "kind": kind, "effects": effects, "nominal": nominal, "noise": noise}
+    truth |= {"mu_face": mu_face, "mu_edge": mu_edge, "protocols": sorted(protocols)}
     for name, table in tables.items():
         if kind == "unrecorded" and COVARIATE_OF[chosen[0]] in table:
             table[COVARIATE_OF[chosen[0]]] = np.nan

@@ -67,41 +67,25 @@ def make_campaign(
             slope = np.radians(tilt["tilt"]) * np.cos(
                 np.radians(row["stage_azimuth_deg"] - tilt["azimuth"])
             )
-            seen = drag_tracked(
-                FrictionLaw(friction * scatter, mechanisms),
-                replace(sheet),
-                DragRun(
-                    row["height_mm"] * 1e-3,
-                    row["speed_mm_s"] * 1e-3,
-                    stroke_m,
-                    np.radians(row["orientation_deg"]),
-                    row["dwell_s"],
-                    row["repeat_index"],
-                    row["rh_pct"],
-                    slope,
-                ),
-                rows,
-                step_s,
-                frame_rate_hz=5.0,
+            law = FrictionLaw(friction * scatter, mechanisms)
+            way = row["height_mm"] * 1e-3, row["speed_mm_s"] * 1e-3, stroke_m
+            at = row["dwell_s"], row["repeat_index"], row["rh_pct"], slope
+            run = DragRun(*way, np.radians(row["orientation_deg"]), *at)
+            seen = drag_tracked(law, replace(sheet), run, rows, step_s, frame_rate_hz=5.0)
+            edge, contact = (
+                1e3 * exact_m + u_pos_mm * random.standard_normal(len(seen.time_s))
+                for exact_m in (seen.edge_m, seen.contact_m)
             )
-            n = len(seen.time_s)
-            frames.append(
-                pd.DataFrame(
-                    {
-                        "run_id": row["run_id"],
-                        "frame": np.arange(n),
-                        "phase": "fwd",
-                        "t_s": seen.time_s.round(4),
-                        "x_stage_mm": (1e3 * seen.stage_m).round(4),
-                        "te_x_mm": (1e3 * seen.edge_m + u_pos_mm * random.standard_normal(n)).round(
-                            4
-                        ),
-                        "contact_len_mm": (
-                            1e3 * seen.contact_m + u_pos_mm * random.standard_normal(n)
-                        ).round(4),
-                    }
-                )
-            )
+            columns = {
+                "run_id": row["run_id"],
+                "frame": np.arange(len(edge)),
+                "phase": "fwd",
+                "t_s": seen.time_s.round(4),
+                "x_stage_mm": (1e3 * seen.stage_m).round(4),
+                "te_x_mm": edge.round(4),
+                "contact_len_mm": contact.round(4),
+            }
+            frames.append(pd.DataFrame(columns))
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     pd.DataFrame(runs).to_csv(folder / "drop_drag_runs.csv", index=False)
