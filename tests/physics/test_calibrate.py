@@ -7,12 +7,12 @@ from functools import cache, partial
 from pathlib import Path
 
 import pytest
+from support.refusal import run
 from support.synthetic_results import protocol_answer, strip_answer
 
 from slipstitch.base.errors import BadInput, NotConverged
 from slipstitch.base.page.figures import save_figure
 from slipstitch.base.provenance import file_digest, read_provenance
-from slipstitch.cli.main import main
 from slipstitch.config import resolve_config, write_config
 from slipstitch.config.simulation import BASE, KEYS, CalibrateSettings, SimulationSettings
 from slipstitch.physics import GRAVITY_M_S2
@@ -289,13 +289,12 @@ def test_with_only_failures_nothing_is_drawn_of_a_calibration_that_meets_the_dem
     config, tmp_path
 ):
     write_config(config, tmp_path / "config.json")
-    words = ["calibrate", "--config", str(tmp_path / "config.json")]
-    words += ["--sweeps", *map(str, sweeps(config, tmp_path))]
-    words += ["--out", str(tmp_path / "calibration.json")]
-    words += ["--settings-picture", str(tmp_path / "settings.svg")]
-    for only_failures in (True, False):
-        assert main(words + ["--only-failures"] * only_failures) == 0
-        assert (tmp_path / "settings.svg").exists() != only_failures
+    files = " ".join(map(str, sweeps(config, tmp_path)))
+    command = f"calibrate --config {tmp_path}/config.json --sweeps {files}"
+    command += f" --out {tmp_path}/calibration.json --settings-picture {tmp_path}/settings.svg"
+    for words, is_drawn in ((" --only-failures", False), ("", True)):
+        assert run(command + words) == 0
+        assert (tmp_path / "settings.svg").exists() == is_drawn
 
 
 def test_sweeps_of_another_configuration_are_refused(config, tmp_path):

@@ -6,10 +6,10 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from support.refusal import run
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import file_digest, recorded_path, write_json
-from slipstitch.cli.main import main
 from slipstitch.config import resolve_config
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.design.stage_path import StagePath
@@ -318,7 +318,7 @@ def finished(tmp_path, monkeypatch):
 def published(study, capsys):
     """Exit code, last line of standard error, and files written."""
     out = study.parent / "published"
-    code = main(["convergence", "publish", "--study", str(study), "--out", str(out)])
+    code = run(f"convergence publish --study {study} --out {out}")
     written = {path.name for path in out.iterdir()} if out.exists() else set()
     assert (study.parent / "table.json").exists() == bool(written)
     return code, capsys.readouterr().err, written

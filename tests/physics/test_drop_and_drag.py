@@ -1,5 +1,7 @@
 """The drop-and-drag run: the stage's path, the run's invariants, its bits."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -71,15 +73,14 @@ def test_the_cloth_hangs_free_hardly_stretched_and_the_floor_holds_it(run):
 def test_a_seed_is_a_bench_the_same_bits_again_and_the_same_at_every_coefficient(run):
     """Before the cloth touches the floor, to a hundredth of a pixel, the same images."""
     trajectory, columns = run
-    again, columns_again = simulate_drop_and_drag(
-        DropAndDrag("11oz-black-denim", FRICTION, 3), SMALL
-    )
+    own = DropAndDrag("11oz-black-denim", FRICTION, 3)
+    again, columns_again = simulate_drop_and_drag(own, SMALL)
     assert trajectory.positions_m.tobytes() == again.positions_m.tobytes()
     assert (columns["newton_iterations"] == columns_again["newton_iterations"]).all()
     hanging = SMALL.model_copy(update={"frames": 2})
     low, high, other = (
-        simulate_drop_and_drag(DropAndDrag("11oz-black-denim", *friction_and_seed), hanging)[0]
-        for friction_and_seed in ((0.1, 3), (1.5, 3), (FRICTION, 4))
+        simulate_drop_and_drag(replace(own, friction=friction, seed=seed), hanging)[0]
+        for friction, seed in ((0.1, 3), (1.5, 3), (FRICTION, 4))
     )
     assert low.metadata["perturbation"] == high.metadata["perturbation"]
     assert low.positions_m[:, :, 2].min() > 5e-3

@@ -117,20 +117,16 @@ def test_a_factor_by_the_time_of_a_session_is_checked_and_left_out(tmp_path):
 @pytest.mark.slow
 def test_drop_and_drag_runs_with_a_table_of_factors(tmp_path):
     """A table of equal factors is another coefficient; one by place acts where the cloth lies."""
-    plain = {"face": {"coefficient": 0.2, "mechanisms": {}}}
-    even = {"covariate": "pos_x_mm", "knots": [-500.0, 500.0], "factors": [1.5, 1.5]}
-    behind = {"covariate": "pos_x_mm", "knots": [-500.0, -300.0], "factors": [3.0, 1.5]}
-    tails = {}
-    for name, friction, table in (
-        ("plain", 0.3, None),
-        ("coulomb", 0.3, {"discrepancy": None}),
-        ("even", 0.2, {"discrepancy": even}),
-        ("behind", 0.2, {"discrepancy": behind}),
-        ("weak", 0.2, None),
-    ):
-        model = table and written(tmp_path, friction_law=plain, bench={}, **table)
-        tails[name] = dragged(friction, model).positions_m
-    assert np.array_equal(tails["coulomb"], tails["plain"])  # bit by bit
-    np.testing.assert_allclose(tails["even"], tails["plain"], atol=2e-5)
-    np.testing.assert_allclose(tails["behind"], tails["plain"], atol=2e-5)
-    assert np.abs(tails["weak"] - tails["plain"]).max() > 1e-3
+    plain, weak = (dragged(friction).positions_m for friction in (0.3, 0.2))
+    law = {"face": {"coefficient": 0.2, "mechanisms": {}}}
+    place = {"covariate": "pos_x_mm"}
+
+    def with_table(friction, table):
+        model = written(tmp_path, friction_law=law, bench={}, discrepancy=table)
+        return dragged(friction, model).positions_m
+
+    assert np.array_equal(with_table(0.3, None), plain)  # bit by bit
+    for knots, factors in (([-500.0, 500.0], [1.5, 1.5]), ([-500.0, -300.0], [3.0, 1.5])):
+        found = with_table(0.2, place | {"knots": knots, "factors": factors})
+        np.testing.assert_allclose(found, plain, atol=2e-5)
+    assert np.abs(weak - plain).max() > 1e-3

@@ -9,9 +9,9 @@ import pyarrow.parquet as pq
 import pytest
 import yaml
 from support import synthetic_cloth
+from support.refusal import refused, run
 
 from slipstitch.base.provenance import read_provenance
-from slipstitch.cli.main import main
 from slipstitch.physics.simulation import simulation_files
 from slipstitch.physics.simulation.trajectory import read_trajectory, write_trajectory
 
@@ -23,33 +23,36 @@ GRID = {
 }
 
 
+def both_of(config, out):
+    """The command that simulates both."""
+    files = f"{out}/{FIRST}.parquet {out}/{SECOND}.parquet"
+    return f"simulate --config {config} --simulation {FIRST} {SECOND} --out {files}"
+
+
 @pytest.fixture(scope="module")
 def simulated(tmp_path_factory):
     """Two simulations of a small grid, and its configuration."""
     folder = tmp_path_factory.mktemp("simulated")
     (folder / "grid.yaml").write_text(yaml.safe_dump(GRID))
-    words = ["--config", folder / "grid.yaml", "--simulation", FIRST, SECOND]
-    out = [folder / f"{name}.parquet" for name in (FIRST, SECOND)]
-    assert main([str(word) for word in ("simulate", *words, "--out", *out)]) == 0
+    assert run(both_of(folder / "grid.yaml", folder)) == 0
     return folder
 
 
 @pytest.fixture
 def folder(simulated, tmp_path):
     """A copy of the simulations, to be handed out."""
-    there = tmp_path / "handed out"
+    there = tmp_path / "handed_out"
     there.mkdir()
     for name in (FIRST, SECOND):
         shutil.copy2(simulated / f"{name}.parquet", there)
     return there
 
 
-def take(folder, simulated, *words, simulation=FIRST):
-    """Exit code, and where the simulation was to go."""
+def take(folder, simulated, words=""):
+    """The command that takes the first simulation, or one told by words, and where to."""
     out = folder.parent / "out" / "x.parquet"
-    words = words or ("--config", simulated / "grid.yaml", "--simulation", simulation)
-    words = ("simulate", *words, "--handed-out", folder, "--out", out)
-    return main([str(word) for word in words]), out
+    words = words or f"--config {simulated}/grid.yaml --simulation {FIRST}"
+    return f"simulate {words} --handed-out {folder} --out {out}", out
 
 
 @pytest.fixture
@@ -80,8 +83,8 @@ def test_a_simulation_that_is_there_is_taken_and_the_record_says_so(
     folder, simulated, no_solver, capfd, arrange
 ):
     arrange(folder)
-    code, out = take(folder, simulated)
-    assert code == 0
+    command, out = take(folder, simulated)
+    assert run(command) == 0
     assert f"handed out as {FIRST}.parquet" in capfd.readouterr().out
     own, taken = (read_trajectory(path) for path in (simulated / f"{FIRST}.parquet", out))
     np.testing.assert_array_equal(own.positions_m, taken.positions_m)
@@ -102,13 +105,12 @@ def test_a_release_is_taken_from_and_a_run_by_hand_is_found(folder, simulated, n
     (folder / "simulations").mkdir()
     for path in folder.glob("*.parquet"):
         path.rename(folder / "simulations" / path.name)
-    assert take(folder, simulated)[0] == 0
+    assert run(take(folder, simulated)[0]) == 0
     seed = read_trajectory(simulated / f"{FIRST}.parquet").metadata["seed"]
-    words = ["--material", "gray-interlock", "--friction", 0.3, "--seed", seed]
-    for key, value in GRID["simulation"].items():
-        words += ["--set", f"{key}={value}"]
-    code, out = take(folder, simulated, *words)
-    assert code == 0 and "handed_out" in read_provenance(out)
+    words = [f"--set {key}={value}" for key, value in GRID["simulation"].items()]
+    by_hand = f"--material gray-interlock --friction 0.3 --seed {seed} {' '.join(words)}"
+    command, out = take(folder, simulated, by_hand)
+    assert run(command) == 0 and "handed_out" in read_provenance(out)
 
 
 def test_the_configuration_names_the_folder_and_what_is_missing_is_simulated(
@@ -117,15 +119,13 @@ def test_the_configuration_names_the_folder_and_what_is_missing_is_simulated(
     (folder / f"{SECOND}.parquet").unlink()
     config = folder.parent / "grid.yaml"
     config.write_text(yaml.safe_dump(GRID | {"compute": {"handed_out": str(folder)}}))
-    out = [folder.parent / f"{name}.parquet" for name in (FIRST, SECOND)]
-    words = ["--config", config, "--simulation", FIRST, SECOND, "--out", *out]
-    assert main([str(word) for word in ("simulate", *words)]) == 0
+    assert run(both_of(config, folder.parent)) == 0
     first, second = capfd.readouterr().out.splitlines()
     assert "handed out" in first and "CPU s" in second
-    assert "handed_out" not in read_provenance(out[1])
-    for name, path in zip((FIRST, SECOND), out, strict=True):
-        expected = read_trajectory(simulated / f"{name}.parquet").positions_m
-        np.testing.assert_array_equal(read_trajectory(path).positions_m, expected)
+    assert "handed_out" not in read_provenance(folder.parent / f"{SECOND}.parquet")
+    for name in (f"{FIRST}.parquet", f"{SECOND}.parquet"):
+        made, expected = (read_trajectory(one / name) for one in (folder.parent, simulated))
+        np.testing.assert_array_equal(made.positions_m, expected.positions_m)
 
 
 def _one_byte(folder):
@@ -163,14 +163,12 @@ def _states(**changes):
     def change(folder):
         path = folder / f"{FIRST}.parquet"
         trajectory = read_trajectory(path)
-        record = trajectory.metadata.pop("provenance")
+        known = trajectory.metadata
+        record = known.pop("provenance")
         for key, value in changes.items():
-            if isinstance(trajectory.metadata.get(key), dict):
-                trajectory.metadata[key] |= value
-            else:
-                trajectory.metadata[key] = value
+            known[key] = known[key] | value if isinstance(known.get(key), dict) else value
         if "catalogue" in changes:
-            record["config"]["catalogue"] = trajectory.metadata.pop("catalogue")
+            record["config"]["catalogue"] = known.pop("catalogue")
         write_trajectory(path, trajectory, record)
 
     return change
@@ -199,8 +197,7 @@ REFUSED = {
 @pytest.mark.parametrize("change", REFUSED, ids=REFUSED.values())
 def test_what_is_not_the_run_is_refused_in_one_line(folder, simulated, no_solver, capfd, change):
     change(folder)
-    code, out = take(folder, simulated)
-    said = capfd.readouterr().err
-    assert code == 2 and said.count("\n") == 1
+    command, out = take(folder, simulated)
+    said = refused(capfd, command)
     assert REFUSED[change] in said and str(folder) in said
     assert not out.exists()
