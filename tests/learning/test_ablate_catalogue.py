@@ -24,21 +24,14 @@ def manifest(replicates=4, textures=3, mirrors=(1, 3)):
     for m, f, r, t, v in product(range(2), range(3), range(replicates), range(textures), range(2)):
         simulation = f"m{m:02d}_f{100 + 300 * f:04d}_r{r:02d}"
         held = r == replicates - 1
-        rows.append(
-            {
-                "video": f"{simulation}_t{t:02d}_v{v:02d}",
-                "simulation": simulation,
-                "material_id": f"m{m:02d}",
-                "friction_id": f"f{100 + 300 * f:04d}",
-                "replicate_id": f"r{r:02d}",
-                "texture_id": f"t{t:02d}",
-                "viewpoint": VIEWS[v],
-                "friction": 0.1 + 0.3 * f,
-                "floor_reflectance": 0.5 * ((m == 0) if held else (r in mirrors)),
-                "split_by_simulation": "test" if held else "train",
-                **{f"{kind}_role": "train" for kind in ROLES},
-            }
-        )
+        names = ("material_id", "friction_id", "replicate_id")
+        row = dict(zip(names, simulation.split("_"), strict=True))
+        row |= {f"{kind}_role": "train" for kind in ROLES}
+        row |= {"video": f"{simulation}_t{t:02d}_v{v:02d}", "simulation": simulation}
+        row |= {"texture_id": f"t{t:02d}", "viewpoint": VIEWS[v], "friction": 0.1 + 0.3 * f}
+        row["floor_reflectance"] = 0.5 * ((m == 0) if held else (r in mirrors))
+        row["split_by_simulation"] = "test" if held else "train"
+        rows.append(row)
     return rows
 
 

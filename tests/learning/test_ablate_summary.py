@@ -31,21 +31,12 @@ def answers(
             row |= {"true": true, "predicted": true + error}
             videos = [f"s{number}_t{texture}" for texture in range(TEXTURES)]
             predictions += [row | {"video": video} for video in videos]
-        found.append(
-            {
-                **{"question": "diversity", "network": "lrcn", "variant": name, "seed": seed},
-                "phrase": phrase,
-                "left_out": None,
-                "dataset_digest": "d",
-                "training_videos": 12,
-                "training_simulations": 6,
-                "passes": 30.0,
-                "failure": "the loss became nan" if failed else None,
-                "stayed_at_chance": not failed and seed < at_chance,
-                "material_stayed_at_chance": False,
-                "predictions": predictions,
-            }
-        )
+        one = {"question": "diversity", "network": "lrcn", "variant": name, "seed": seed}
+        one |= {"phrase": phrase, "left_out": None, "dataset_digest": "d", "passes": 30.0}
+        one |= {"training_videos": 12, "training_simulations": 6, "predictions": predictions}
+        one |= {"failure": "the loss became nan" if failed else None}
+        one |= {"stayed_at_chance": not failed and seed < at_chance}
+        found.append(one | {"material_stayed_at_chance": False})
     return found
 
 
@@ -154,12 +145,9 @@ def test_the_interval_holds_as_often_as_it_says(seed_sd, simulation_sd, noise):
     """The true mean, 0, of crossed random effects of three seeds and twenty simulations."""
     generator = np.random.default_rng(0)
     hits = 0
+    parts = ((seed_sd, (3, 1)), (simulation_sd, (1, 20)), (noise, (3, 20)))
     for _ in range(600):
-        drawn = (
-            seed_sd * generator.normal(size=(3, 1))
-            + simulation_sd * generator.normal(size=(1, 20))
-            + noise * generator.normal(size=(3, 20))
-        )
+        drawn = sum(sd * generator.normal(size=shape) for sd, shape in parts)
         _, low, high = interval(drawn)
         hits += low <= 0 <= high
     assert 0.85 <= hits / 600 <= 0.99

@@ -1,9 +1,11 @@
 """Trained networks go through the tables: every number can be recomputed from the predictions."""
 
 import contextlib
+import io
 import json
 import shutil
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +13,10 @@ import pyarrow.parquet as pq
 import pytest
 from support import synthetic_videos
 from support.models import train_networks
+from support.refusal import refused, run
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import file_digest, read_provenance
-from slipstitch.cli.main import main
 from slipstitch.config import write_config
 from slipstitch.config.train import REFLECTIVE, TRAINED_ON
 from slipstitch.dataset.dataset import write_dataset
@@ -71,8 +73,14 @@ def chain(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def evaluated(chain):
-    with contextlib.chdir(chain):  # records name files by their path from the working folder
-        evaluate(chain, Trained(chain / "train", chain / "instrument"), chain / "evaluate")
+    """What the command writes, and what it says, in said.txt."""
+    write_config(CONFIG, chain / "c.json")
+    command = "evaluate --config c.json --dataset sample --models train --instruments instrument"
+    out = "--out evaluate/metrics.json --predictions evaluate/predictions.parquet"
+    out += " --details evaluate/details.json"
+    with contextlib.chdir(chain), contextlib.redirect_stdout(io.StringIO()) as said:
+        assert run(f"{command} {out}") == 0
+    (chain / "said.txt").write_text(said.getvalue())
     return chain / "evaluate"
 
 
@@ -88,6 +96,8 @@ def content(path):
 
 def test_the_metrics_have_the_splits_models_and_fields_that_were_agreed(evaluated):
     metrics = content(evaluated / "metrics.json")
+    said = (evaluated.parent / "said.txt").read_text()
+    assert "by_simulation lrcn_conditional 8" in " ".join(said.split())
     for split, models in metrics.items():
         # Of the split by video, the instrument's viewpoint may have no test video.
         probed = {model for model in models if model.startswith(PREFIX)}
@@ -135,24 +145,18 @@ def test_fine_tuned_networks_count_in_the_calibrated_view_those_before_in_all(ch
         for fine_tuned in found:
             network = network_of(fine_tuned)
             before = said[split, network.removesuffix("_calibrated")]
-            own = {
-                video
-                for video, row in before.items()
-                if row["viewpoint"] == "calibrated" or split.startswith("view_")
-            }
+            views = {"calibrated", split.replace("view_", "calibrated_")}
+            own = {video for video, row in before.items() if row["viewpoint"] in views}
             assert set(said.get((split, network), ())) == own
             assert models[fine_tuned]["n"] == len(own)
     # The conditional ones are told the material by the network before fine-tuning.
     folder = chain / "train" / KEPT
     material = load_model(folder / "material_baseline/seed0/all_views")
     videos = read_videos(chain / "sample", lambda row: row["viewpoint"] == "calibrated_+5")
-    for network, place in (
-        ("friction_conditional", "all_views"),
-        ("friction_conditional_calibrated", "."),
-    ):
-        model = replace(
-            load_model(folder / "friction_conditional/seed0" / place), material=material
-        )
+    for ending, place in (("", "all_views"), ("_calibrated", ".")):
+        network = f"friction_conditional{ending}"
+        model = load_model(folder / "friction_conditional/seed0" / place)
+        model = replace(model, material=material)
         for row, shares in zip(videos.rows, model.probabilities(videos), strict=True):
             known = said["view_+5", network].get(row["video"])
             assert known is None or known["probabilities"] == pytest.approx(shares, abs=1e-6)
@@ -169,30 +173,27 @@ def test_the_tables_follow_from_the_predictions(evaluated):
     rows = pq.read_table(evaluated / "predictions.parquet").to_pylist()
     metrics = content(evaluated / "metrics.json")
     details = content(evaluated / "details.json")
-    for model, network in (
-        ("lrcn_baseline", "friction_baseline"),
-        ("lrcn_conditional", "friction_conditional"),
-    ):
-        for split in metrics:
-            chosen = [row for row in rows if (row["split"], row["network"]) == (split, network)]
-            if not chosen:  # no such network on reflective floors
-                assert (split, network) == (REFLECTIVE, "friction_baseline")
-                continue
-            error = np.array([row["predicted_value"] - row["true_value"] for row in chosen])
-            right = np.mean(abs(error) < 0.05)
-            assert metrics[split][model]["friction_lt_0.1"] == pytest.approx(right)
-            assert metrics[split][model]["n"] == len(chosen)
-            views = details[split][network]["viewpoints"]
-            for view, scores in views.items():
-                seen = np.array([row["viewpoint"] == view for row in chosen])
-                mean = np.mean(abs(error[seen]) < 0.05)
-                assert scores["mean"]["friction_lt_0.1"] == pytest.approx(mean)
-                assert (scores["n"], scores["spread"]) == (seen.sum(), None)
-            if split == "off_grid":
-                assert details[split][network]["confusion"] is None
-                continue
-            counts = np.array(details[split][network]["confusion"])
-            assert counts.trace() / counts.sum() == pytest.approx(right)
+    for kind, split in product(("baseline", "conditional"), metrics):
+        model, network = f"lrcn_{kind}", f"friction_{kind}"
+        chosen = [row for row in rows if (row["split"], row["network"]) == (split, network)]
+        if not chosen:  # no such network on reflective floors
+            assert (split, network) == (REFLECTIVE, "friction_baseline")
+            continue
+        error = np.array([row["predicted_value"] - row["true_value"] for row in chosen])
+        right = np.mean(abs(error) < 0.05)
+        assert metrics[split][model]["friction_lt_0.1"] == pytest.approx(right)
+        assert metrics[split][model]["n"] == len(chosen)
+        views = details[split][network]["viewpoints"]
+        for view, scores in views.items():
+            seen = np.array([row["viewpoint"] == view for row in chosen])
+            mean = np.mean(abs(error[seen]) < 0.05)
+            assert scores["mean"]["friction_lt_0.1"] == pytest.approx(mean)
+            assert (scores["n"], scores["spread"]) == (seen.sum(), None)
+        if split == "off_grid":
+            assert details[split][network]["confusion"] is None
+            continue
+        counts = np.array(details[split][network]["confusion"])
+        assert counts.trace() / counts.sum() == pytest.approx(right)
     for name in ("metrics.json", "details.json", "predictions.parquet"):
         record = read_provenance(evaluated / name)
         assert record["stage"] == "evaluate" and len(record["inputs"]) == 1 + 2 * (8 + 3) + 2
@@ -233,29 +234,17 @@ def test_the_instruments_rows_follow_from_its_predictions(evaluated):
 def test_wrong_inputs_are_what_they_are_called():
     # Grey floor that grows brighter downwards, a red cloth that moves across it.
     videos = np.zeros((3, 8, 32, 32, 3), np.uint8)
-    videos[:] = (np.arange(32) * 4 + 40)[:, None, None]
+    floor = (np.arange(32) * 4 + 40)[:, None, None]
+    videos[:] = floor
     for frame in range(8):
         videos[:, frame, 8:20, 3 * frame : 3 * frame + 8] = (200, 30, 40)
     made = wrong_inputs(videos)
     assert np.array_equal(made["reversed"][:, 0], videos[:, -1])
     assert np.array_equal(made["protocol"][:, 7], videos[:, 3])
     assert np.array_equal(made["upside_down"][:, :, 0], videos[:, :, -1])
-    floor = (np.arange(32) * 4 + 40)[:, None, None]
     assert abs(made["empty"].astype(int) - floor).max() <= 6
     changed = (made["object"] != made["empty"]).any(-1)
     assert changed[:, :, 14:18, 14:18].all() and not changed[:, :, :6].any()
-
-
-@pytest.mark.slow
-def test_the_command_prints_the_table(chain, evaluated, tmp_path, capsys):
-    write_config(CONFIG, tmp_path / "config.json")
-    words = ["evaluate", "--config", str(tmp_path / "config.json")]
-    words += ["--dataset", str(chain / "sample"), "--models", str(chain / "train")]
-    words += ["--instruments", str(chain / "instrument"), "--out", str(tmp_path / "metrics.json")]
-    assert main([*words, "--predictions", str(tmp_path / "predictions.parquet")]) == 0
-    said = capsys.readouterr().out
-    assert "by_simulation lrcn_conditional" in " ".join(said.split())
-    assert content(tmp_path / "metrics.json") == content(evaluated / "metrics.json")
 
 
 def test_models_of_an_earlier_configuration_do_not_count(chain):
@@ -276,13 +265,10 @@ def test_the_record_names_the_models_that_count_and_no_others(chain, tmp_path, m
     metrics = evaluate(chain, Trained(chain / "train", chain / "instrument", train), tmp_path)
     assert set(metrics) == {"by_simulation", "off_grid", "unseen_fabric"}
     inputs = read_provenance(tmp_path / "metrics.json")["inputs"]
-    weights = sorted(name for name in inputs if name.endswith(".safetensors"))
-    assert weights == [
-        "instrument/by_simulation/seed0/instrument.safetensors",
-        "train/by_simulation/friction_baseline/seed0/model.safetensors",
-        "train/by_simulation/friction_conditional/seed0/model.safetensors",
-        "train/by_simulation/material_baseline/seed0/model.safetensors",
-    ]
+    networks = ("friction_baseline", "friction_conditional", "material_baseline")
+    weights = {f"train/by_simulation/{one}/seed0/model.safetensors" for one in networks}
+    weights.add("instrument/by_simulation/seed0/instrument.safetensors")
+    assert {name for name in inputs if name.endswith(".safetensors")} == weights
 
 
 def test_models_that_do_not_belong_together_are_refused(chain, tmp_path):
@@ -315,8 +301,9 @@ def predictions(path):
 
 
 def test_the_shipped_instrument_predicts_for_the_calibrated_view_of_its_protocol(tmp_path):
+    protocol = {"simulation": {"frames": 300}, "sample": {"frames": 30}}
     config = synthetic_videos.config(
-        simulation={"frames": 300}, sample={"frames": 30}, train={"splits": ["by_simulation"]}
+        **protocol, render={"textures": ["stripes"]}, train={"splits": ["by_simulation"]}
     )
     assert shipped_for(config) == SHIPPED
     shards = synthetic_videos.write_shards(config, tmp_path / "render")
@@ -430,23 +417,15 @@ def test_instruments_alone_are_evaluated_by_camera_fabric_and_coefficient(tmp_pa
 
 def test_scores_of_another_dataset_are_not_updated(chain, evaluated, tmp_path, capsys):
     out = shutil.copytree(evaluated, tmp_path / "evaluate")
-    config = tmp_path / "c.json"
-
-    def said(dataset, words):
-        write_config(CONFIG, config)
-        arguments = ["--config", str(config), "--dataset", str(dataset), "--update"]
-        arguments += ["--instruments", str(chain / "instrument")]
-        arguments += ["--predictions", str(out / "predictions.parquet")]
-        assert main(["evaluate", *arguments, "--out", str(out / "metrics.json")]) == 2
-        error = capsys.readouterr().err
-        assert error.count("\n") == 1 and words in error
-
     before = {path: path.read_bytes() for path in out.iterdir()}
     other = shutil.copytree(chain / "sample", tmp_path / "other")
     table = pq.read_table(other / "manifest.parquet")
     pq.write_table(table, other / "manifest.parquet", compression="none")
-    said(other, "scores of another dataset")
+    update = f"evaluate --config {chain}/c.json --instruments {chain}/instrument --update "
+    update += f"--predictions {out}/predictions.parquet --out {out}/metrics.json --dataset"
+    assert "scores of another dataset" in refused(capsys, f"{update} {other}")
     assert {path: path.read_bytes() for path in out.iterdir()} == before
-    for path in list(out.iterdir()):
+    for path in before:
         path.unlink()
-    said(chain / "sample", "no scores to update: run without --update")
+    said = refused(capsys, f"{update} {chain}/sample")
+    assert "no scores to update: run without --update" in said
