@@ -7,6 +7,7 @@ import pytest
 from scipy.integrate import solve_bvp, trapezoid
 from scipy.linalg import eig
 from scipy.special import ellipeinc, ellipk, ellipkinc
+from support.departures.strip import chebyshev
 
 from slipstitch.base.errors import BadInput
 from slipstitch.physics.experiments.cantilever import heavy_cantilever
@@ -55,18 +56,11 @@ def test_capstan_is_the_limit_of_many_small_turns():
 
 def test_narrow_strip_buckles_where_the_torsion_equation_has_its_first_eigenvalue():
     """φ'' = −(k²/4)(1 − s)⁴ φ, φ(0) = 0, φ'(1) = 0: the smallest k, by Chebyshev collocation."""
-    n = 40
-    nodes = np.cos(np.pi * np.arange(n + 1) / n)
-    c = np.hstack((2, np.ones(n - 1), 2)) * (-1) ** np.arange(n + 1)
-    spread = nodes[:, None] - nodes[None, :] + np.eye(n + 1)
-    first = np.outer(c, 1 / c) / spread
-    first -= np.diag(first.sum(axis=1))
-    first *= 2.0  # to [0, 1]; nodes[0] is s = 1
-    station = (1 + nodes) / 2
+    station, first, _ = chebyshev(40)
     left = first @ first
     right = -np.diag((1 - station) ** 4) / 4
-    left[0], right[0] = first[0], 0.0
-    left[-1], right[-1] = np.eye(n + 1)[-1], 0.0
+    left[0], right[0] = np.eye(41)[0], 0.0
+    left[-1], right[-1] = first[-1], 0.0
     values = eig(left, right, right=False)
     values = values[np.isfinite(values) & (np.abs(values) < 1e6)].real
     k = math.sqrt(values[values > 1].min())
