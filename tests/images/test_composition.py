@@ -172,15 +172,6 @@ def layers(uv, first, second=0.0, scene=0.0, pixels=2):
     return Layers(pixels, np.zeros((3, count)), np.arange(count), np.tile(uv, (count, 1)), light)
 
 
-def test_the_albedo_is_that_of_the_point_seen():
-    # The centre of the first white dot, and the ground half way between two.
-    for uv in ((0.0625, 0.0625), (0.125, 0.0625)):
-        column, row = (int(c * 512) for c in uv)
-        (image,) = compose(layers(np.array(uv), first=0.9), ["dots"])
-        expected = encode_srgb(0.9 * texture("dots")[row, column].astype(float))
-        assert np.abs(image.astype(int) - expected).max() <= 3
-
-
 def test_light_between_folds_takes_the_colour_of_the_cloth_twice():
     (image,) = compose(layers(np.array([0.5, 0.5]), first=0.0, second=1.0), ["denim"])
     albedo = texture("denim")

@@ -82,17 +82,15 @@ def test_nothing_that_is_drawn_for_an_image_tells_the_friction_coefficient():
         floors=list(FLOORS),
         augmentation={"lamp_m": 0.3, "exposure_stops": 1.0, "colour_cast": 0.2, "noise": 0.1},
     )
+
+    def drawn(name):
+        effects = draw_camera_effects(looks.augmentation, 3, name, "dots", "side")
+        noise = pixel_noise(3, name, "dots", "side", 7).random()
+        return draw_surroundings(looks, 3, name), effects, noise
+
     first, *others = (f"m03_f{100 * k:04d}_r01" for k in range(16))
-    for other in others:
-        assert draw_surroundings(looks, 3, other) == draw_surroundings(looks, 3, first)
-        drawn = [
-            draw_camera_effects(looks.augmentation, 3, name, "dots", "side")
-            for name in (first, other)
-        ]
-        assert drawn[0] == drawn[1]
-        noise = [pixel_noise(3, name, "dots", "side", 7).random() for name in (first, other)]
-        assert noise[0] == noise[1]
-    assert draw_surroundings(looks, 3, "m03_f0100_r02") != draw_surroundings(looks, 3, first)
+    assert all(drawn(other) == drawn(first) for other in others)
+    assert drawn("m03_f0100_r02")[0] != drawn(first)[0]
 
 
 def test_a_camera_of_another_bench_has_a_floor_a_lamp_and_colours_of_its_own_in_every_simulation():

@@ -9,11 +9,10 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 from support import synthetic_cloth
-from support.refusal import refused
+from support.refusal import refused, run
 from support.synthetic_videos import images_of as images
 
 from slipstitch.base.provenance import read_metadata, read_provenance, read_sidecar, start_clock
-from slipstitch.cli.main import main
 from slipstitch.config import resolve_config
 from slipstitch.images import verification
 from slipstitch.images.surroundings import draw_surroundings
@@ -45,18 +44,24 @@ def configure(folder, name="config.json", **render):
     return str(folder / name)
 
 
-def shade(folder, *views, packs="packs"):
-    paths = [str(folder / packs / f"{ONE}_{view}.parquet") for view in views]
-    words = ["--trajectory", str(folder / f"{ONE}.parquet"), "--viewpoint", *views]
-    return main(["render", "--config", str(folder / "config.json"), *words, "--shading", *paths])
+def files(folder, views):
+    """The files of such viewpoints in a folder."""
+    return " ".join(f"{folder}/{ONE}_{view}.parquet" for view in views.split())
 
 
-def compose_words(folder, *views, config="config.json", out_dir="images"):
-    packs = [str(folder / "packs" / f"{ONE}_{view}.parquet") for view in views]
-    return [
-        "render", "--config", str(folder / config), "--trajectory", str(folder / f"{ONE}.parquet"),
-        "--from-shading", *packs, "--out-dir", str(folder / out_dir),
-    ]  # fmt: skip
+def render(folder, words, config="config.json"):
+    return f"render --config {folder}/{config} --trajectory {folder}/{ONE}.parquet {words}"
+
+
+def shade(folder, views, packs="packs"):
+    paths = files(folder / packs, views)
+    return run(render(folder, f"--viewpoint {views} --shading {paths}"))
+
+
+def compose(folder, views, config="config.json", out_dir="images"):
+    """The command that composes images."""
+    packs = files(folder / "packs", views)
+    return render(folder, f"--from-shading {packs} --out-dir {folder}/{out_dir}", config)
 
 
 @pytest.fixture(scope="module")
@@ -65,15 +70,15 @@ def work(tmp_path_factory):
     configure(folder)
     motion = synthetic_cloth.motion(12, n=11, frame_rate_hz=0.15)
     write_trajectory(folder / f"{ONE}.parquet", Trajectory(**motion))
-    assert shade(folder, "v00", "v01") == 0
-    assert main(compose_words(folder, "v00", "v01")) == 0
+    assert shade(folder, "v00 v01") == 0
+    assert run(compose(folder, "v00 v01")) == 0
     return folder
 
 
 def test_textures_are_put_on_without_blender(work):
     # In a process in which bpy cannot be imported, with a texture that the pack never heard of.
     configure(work, "more.json", textures=["dots", "tartan"], test_textures=["chevron"])
-    words = compose_words(work, "v00", config="more.json", out_dir="more")
+    words = compose(work, "v00", config="more.json", out_dir="more").split()
     code = (
         "import sys; sys.modules['bpy'] = None\n"
         f"from slipstitch.cli.main import main; sys.exit(main({words!r}))"
@@ -94,9 +99,7 @@ def test_the_light_of_a_viewpoint_does_not_depend_on_those_rendered_before_it(wo
 
 def test_images_from_a_pack_are_those_of_one_go(work):
     path = work / f"{ONE}_whole.parquet"
-    words = ["--trajectory", str(work / f"{ONE}.parquet"), "--viewpoint", "v01"]
-    configuration = ["--config", str(work / "config.json")]
-    assert main(["render", *configuration, *words, "--out", str(path)]) == 0
+    assert run(render(work, f"--viewpoint v01 --out {path}")) == 0
     whole, parts = images(path), images(work / "images" / f"{ONE}_v01.parquet")
     assert whole.keys() == parts.keys()
     for key, image in whole.items():
@@ -138,7 +141,7 @@ def test_an_image_file_is_a_texture(work, tmp_path):
     cv2.imwrite(str(tmp_path / "mine.png"), drawing)
     plain = {"textures": [str(tmp_path / "mine.png")], "augmentation": {"lamp_m": 0.1}}
     configure(work, "mine.json", **plain)
-    assert main(compose_words(work, "v01", config="mine.json", out_dir="mine")) == 0
+    assert run(compose(work, "v01", config="mine.json", out_dir="mine")) == 0
     image = next(iter(images(work / "mine" / f"{ONE}_v01.parquet").values())).astype(int)
     assert (image[..., 2] > image[..., 0] + 60).sum() > 20
     inputs = read_provenance(work / "mine" / f"{ONE}_v01.parquet")["inputs"]
@@ -152,7 +155,7 @@ def test_an_image_file_is_a_texture(work, tmp_path):
 def test_a_texture_that_is_no_image_is_one_clear_line(work, tmp_path, capsys, file, message):
     (tmp_path / "bad.png").write_text("not an image")
     configure(work, "bad.json", textures=[str(tmp_path / file)])
-    assert message in refused(capsys, compose_words(work, "v00", config="bad.json", out_dir="bad"))
+    assert message in refused(capsys, compose(work, "v00", config="bad.json", out_dir="bad"))
     assert not (work / "bad").exists() or not list((work / "bad").iterdir())
 
 
@@ -164,16 +167,15 @@ def test_what_is_no_pack_of_the_trajectory_is_one_clear_line(work, tmp_path, cap
         "--trajectory": (tmp_path / f"{ONE}.parquet", "not rendered from"),
         "--from-shading": (work / "images" / f"{ONE}_v00.parquet", "not a shading pack"),
     }[option]
-    words = compose_words(work, "v00")
-    words[words.index(option) + 1] = str(given)
+    words = compose(work, "v00").split()
+    words[words.index(option) + 1] = given
     assert message in refused(capsys, words)
 
 
 def verify(work, out, shards="images"):
-    paths = [str(work / shards / f"{ONE}_{view}.parquet") for view in ("v00", "v01")]
-    folders = ["--trajectories", str(work), "--packs", str(work / "packs")]
-    configuration = ["--config", str(work / "config.json")]
-    return main(["render", *configuration, "--verify", *folders, "--out", str(out), *paths])
+    folders = f"--trajectories {work} --packs {work}/packs"
+    command = f"render --config {work}/config.json --verify {folders} --out {out}"
+    return run(f"{command} {files(work / shards, 'v00 v01')}")
 
 
 @pytest.mark.slow

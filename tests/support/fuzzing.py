@@ -208,9 +208,8 @@ def record_if_any(path: Path) -> None:
 
 
 def decoded(images: dict) -> None:
-    for of_frame in images.values():
-        for data in of_frame.values():
-            decode_image(data, "image")
+    for data in (data for of_frame in images.values() for data in of_frame.values()):
+        decode_image(data, "image")
 
 
 def _networks(config, folder: Path) -> Found:
