@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.refusal import refused
+from support.refusal import refused, run
 
 from slipstitch.base.errors import SlipstitchError
 from slipstitch.base.project import pinned_versions
-from slipstitch.cli.main import main
 from slipstitch.images.blender import ClothScene
 from slipstitch.report import machine_checks as checks
 from slipstitch.report.machine_checks import Diagnosis, Standing
@@ -20,7 +19,7 @@ ROOT = Path(__file__).parents[2]
 
 
 def test_here_where_the_tests_run_nothing_is_missing(capsys):
-    assert main(["doctor"]) == 0
+    assert run("doctor") == 0
     shown = capsys.readouterr().out
     assert "MISSING" not in shown
     assert "All requirements of Slipstitch are met." in shown
@@ -40,10 +39,10 @@ def test_before_anything_is_installed_it_says_what_is_missing():
 def test_something_missing_is_exit_code_1_with_its_remedy_and_a_note_is_none(monkeypatch, capsys):
     note = Diagnosis("GPU", Standing.NOTE, "none")
     monkeypatch.setattr(checks, "examine", lambda: [note])
-    assert main(["doctor"]) == 0
+    assert run("doctor") == 0
     finding = Diagnosis("Blender", Standing.MISSING, "import bpy: no such module", "make setup")
     monkeypatch.setattr(checks, "examine", lambda: [note, finding])
-    assert main(["doctor"]) == 1
+    assert run("doctor") == 1
     shown = capsys.readouterr().out
     assert "MISSING Blender" in shown and "Blender: make setup" in shown
 
@@ -123,11 +122,9 @@ def test_requirements_are_those_of_the_lock():
 
 
 def test_estimate_of_a_scale(tmp_path, capsys):
-    scales = [str(ROOT / "config.yaml"), str(ROOT / "config/paper.yaml")]
-    assert main(["doctor", "--estimate", *scales]) == 0
+    assert run(f"doctor --estimate {ROOT}/config.yaml {ROOT}/config/paper.yaml") == 0
     shown = capsys.readouterr().out
     for word in ("simulate", "render", "train", "jobs", "CPU h", "of disk"):
         assert word in shown
     (tmp_path / "bad.yaml").write_text("grid: {frictions: [-1]}\n")
-    said = refused(capsys, ["doctor", "--estimate", tmp_path / "bad.yaml"])
-    assert "grid.frictions.0" in said
+    assert "grid.frictions.0" in refused(capsys, f"doctor --estimate {tmp_path}/bad.yaml")

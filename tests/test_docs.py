@@ -1,11 +1,13 @@
-"""README and docs: links lead somewhere, numbers are the published ones, words are counted."""
+"""README and docs: examples run, links lead somewhere, numbers are published, words are counted."""
 
 import json
+import os
 import re
 import subprocess
 import sys
 from pathlib import Path
 
+import pyarrow.parquet as pq
 import pytest
 
 ROOT = Path(__file__).parents[1]
@@ -67,3 +69,29 @@ def test_the_container_is_built_from_what_there_is():
     assert all((ROOT / source).exists() for source in copied)
     lock = (ROOT / "envs/requirements.lock").read_text(encoding="utf-8")
     assert "\nsetuptools==" in lock  # the build is not isolated
+
+
+EXAMPLES = re.findall(
+    r"^```python\n(.*?)^```$",
+    (ROOT / "docs/quickstart.md").read_text(encoding="utf-8"),
+    re.M | re.S,
+)
+
+
+def test_the_examples_run_and_are_short(tmp_path):
+    assert len(EXAMPLES) == 4
+    assert all(len(example.splitlines()) <= 10 for example in EXAMPLES)
+    answer = subprocess.run(
+        [sys.executable, "-c", "\n".join(EXAMPLES)],
+        cwd=tmp_path,
+        env=os.environ | {"PYTHONPATH": str(ROOT / "src")},
+        capture_output=True,
+        text=True,
+    )
+    assert answer.returncode == 0, answer.stderr
+    fallen, acceleration, verdict = answer.stdout.splitlines()
+    assert abs(float(re.search(r"vertex (\S+) mm", fallen).group(1))) < 0.1  # on the floor
+    measured, theory = map(float, acceleration.split())
+    assert abs(measured - theory) < 1e-3 * theory
+    assert verdict.startswith("Between the runs nothing beyond plain Coulomb friction")
+    assert pq.read_metadata(tmp_path / "drop_v00.parquet").num_rows == 3
