@@ -13,6 +13,7 @@ from pathlib import Path
 
 import psutil
 
+from slipstitch.report.cost import read_benchmark
 from support import equal_results
 from support.workflow_copy import Workflow
 
@@ -59,8 +60,7 @@ def wall_s(run: Path, job: dict) -> float:
     """What a job took when it was left alone."""
     if job["benchmark"] is None or not (run / job["benchmark"]).exists():
         return 1.0
-    head, row = (line.split("\t") for line in (run / job["benchmark"]).read_text().splitlines())
-    return float(row[head.index("s")])
+    return read_benchmark(run / job["benchmark"]).wall_s
 
 
 def remove_outputs(run: Path, job: dict) -> None:

@@ -51,11 +51,3 @@ def undisturbed(chain, pristine):
     kills.copy_run(pristine, chain.folder)
     yield chain
     kills.copy_run(pristine, chain.folder)
-
-
-def pytest_terminal_summary(terminalreporter):
-    """Show what a test found worth telling, also when it ran in another process."""
-    for report in terminalreporter.getreports("passed"):
-        for name, value in report.user_properties:
-            if report.when == "call" and name == "told":
-                terminalreporter.write_line(f"{report.nodeid.split('::')[-1]}: {value}")

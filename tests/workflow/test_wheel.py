@@ -31,14 +31,14 @@ class Environment:
             target.parent.mkdir(parents=True, exist_ok=True)
             copy = shutil.copytree if (ROOT / part).is_dir() else shutil.copy2
             copy(ROOT / part, target)
-        pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
-        subprocess.run([*pip, "wheel", "--quiet", "--no-deps", "--no-build-isolation", "-w", folder,
-                        source], check=True)  # fmt: skip
         self.python = folder / "venv/bin/python"
-        subprocess.run([sys.executable, "-m", "venv", "--without-pip", folder / "venv"], check=True)
-        (self.wheel,) = folder.glob("*.whl")
-        subprocess.run([*pip, "--python", self.python, "install", "--quiet", "--no-deps",
-                        self.wheel], check=True)  # fmt: skip
+        pip = f"{sys.executable} -m pip --disable-pip-version-check"
+        for command in (
+            f"{pip} wheel --quiet --no-deps --no-build-isolation -w {folder} {source}",
+            f"{sys.executable} -m venv --without-pip {folder}/venv",
+            f"{pip} --python {self.python} install --quiet --no-deps {folder}/*.whl",
+        ):
+            subprocess.run(command, shell=True, check=True)
         self.folder = folder / "empty"
         self.folder.mkdir()
 
