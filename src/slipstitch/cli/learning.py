@@ -89,21 +89,15 @@ def _run(arguments: options.Arguments, config):
 def instrument(arguments: options.Arguments) -> None:
     """Train, average or recalibrate, write, print a summary."""
     mode = options.exactly_one(arguments, "seed", "members", "recalibrate")
+    datasets = list(arguments.calibration_datasets)
     if mode == "recalibrate":
         options.refuse(arguments, ("config", "dataset", "split"), options.flag(mode))
         from slipstitch.learning.instrument.ensemble import recalibrate_instrument
 
         if not (arguments.calibration_datasets or arguments.readings):
             raise BadInput("--recalibrate requires --calibration-datasets, --readings or both")
-        _print_average(
-            recalibrate_instrument(
-                arguments.recalibrate,
-                arguments.out_dir,
-                list(arguments.calibration_datasets),
-                list(arguments.readings),
-                threads=arguments.threads,
-            )
-        )
+        extra = datasets, list(arguments.readings), arguments.threads
+        _print_average(recalibrate_instrument(arguments.recalibrate, arguments.out_dir, *extra))
         return
     options.refuse(arguments, ("readings",), options.flag(mode))
     options.require(arguments, ("config", "dataset", "split"), options.flag(mode))
@@ -112,16 +106,8 @@ def instrument(arguments: options.Arguments) -> None:
     if mode == "members":
         from slipstitch.learning.instrument.ensemble import combine_instruments
 
-        _print_average(
-            combine_instruments(
-                list(arguments.members),
-                arguments.dataset,
-                arguments.split,
-                arguments.out_dir,
-                list(arguments.calibration_datasets),
-                threads=arguments.threads,
-            )
-        )
+        places = list(arguments.members), arguments.dataset, arguments.split, arguments.out_dir
+        _print_average(combine_instruments(*places, datasets, threads=arguments.threads))
         return
     options.refuse(arguments, ("calibration_datasets",), options.flag(mode))
     from slipstitch.design.trainable import instrument_views

@@ -10,5 +10,3 @@ start_warp()
 from slipstitch.physics.cloth.contact import Conditions  # noqa: E402
 from slipstitch.physics.cloth.mesh import ClothMesh, rectangle  # noqa: E402
 from slipstitch.physics.cloth.solver import ClothSolver, SolverSettings, StepRecord  # noqa: E402
-
-__all__ = ["ClothMesh", "ClothSolver", "Conditions", "SolverSettings", "StepRecord", "rectangle"]

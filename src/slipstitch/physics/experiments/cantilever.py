@@ -16,7 +16,7 @@ from slipstitch.physics.fabric import isotropic_tables
 LENGTH_M = 0.20
 ROWS = 81
 THICKNESS_M = 2.0e-3  # thick against the sag across: the cross-section is free to curve
-GAMMA_RANGE = (0.05, 200.0)
+BOUNDS = {"gamma": (0.05, 200.0)}
 SMALL_GAMMA = 0.05  # sags by 0.6 % of its length: linear to 4e-5
 DEMANDS = (specimen.Demand("height_over_width", 0.02),)
 THEORY_GAMMAS = (1.0e-3, 1.0e4)

@@ -12,6 +12,7 @@ from scipy.integrate import solve_bvp
 from scipy.optimize import brentq
 
 from slipstitch.base.errors import NotConverged
+from slipstitch.config.section import FRICTION_MAX
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.cloth import ClothSolver, Conditions
@@ -35,7 +36,11 @@ DEMANDS = (
     specimen.Demand("flat_strain", 0.006, relative=False),
 )
 LARGEST_GAMMA = 3.0e3
-GRAVITY_LENGTH_RANGE_M = (LENGTH_M / LARGEST_GAMMA ** (1 / 3), LENGTH_M)
+BOUNDS = {
+    "friction": (SMALLEST_FRICTION, FRICTION_MAX),
+    "gravity_length_m": (LENGTH_M / LARGEST_GAMMA ** (1 / 3), LENGTH_M),
+    "vertices": specimen.VERTICES_RANGE,
+}
 SMALLEST_FOOT_ANGLE_RAD = 0.02
 # Weights by which the strip with weight is reached from the one without.
 _LADDER = np.geomspace(1.0, 5.0e3, 23)

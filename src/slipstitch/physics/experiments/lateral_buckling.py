@@ -26,7 +26,7 @@ SIDE_PUSH = 1.0e-3  # sideways over vertical weight, what the strip buckles from
 FAR, NEAR = (0.85, 0.95), (0.96, 0.98)  # of the critical weight as known before
 SMALL_GAMMA = 0.05  # sags by 0.6 % of its length: linear
 SMALL_TWIST_RAD = 0.02
-WIDTH_RANGE = (0.02, 0.5)  # over the length; theory is for narrow strips
+BOUNDS = {"width_over_length": (0.02, 0.5)}  # theory is for narrow strips
 # First root of J_{-1/6}(x/6) = 0 is x = 12.854: see the test, which solves the eigenproblem.
 NARROW_STRIP = 12.853718
 DEMANDS = (specimen.Demand("critical_gamma", 0.05),)

@@ -22,9 +22,6 @@ from slipstitch.physics.experiments import (
 )
 from slipstitch.physics.experiments.specimen import Demand, require
 
-Bounds = tuple[float, float]
-VERTICES = (8, inf)
-
 
 @dataclass(frozen=True)
 class KnownAnswer:
@@ -35,7 +32,7 @@ class KnownAnswer:
 
     run: Callable[..., dict[str, Any]]
     demands: tuple[Demand, ...]
-    bounds: Mapping[str, Bounds] = field(default_factory=dict)
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
 
     def verdict(self, result: Mapping[str, Any]) -> dict[str, Any]:
         """``passed``, and ``demands``: the verdict on each (`Demand.verdict`), by key."""
@@ -47,36 +44,16 @@ PROTOCOLS: dict[str, KnownAnswer] = {
     "incline": KnownAnswer(plane.incline, plane.INCLINE_DEMANDS, {"slope_deg": (0, 89.99)}),
     "tilt": KnownAnswer(plane.tilt, plane.TILT_DEMANDS),
     "flat-drag": KnownAnswer(plane.flat_drag, plane.FLAT_DRAG_DEMANDS),
-    "strip-drag": KnownAnswer(
-        strip_drag.strip_drag, strip_drag.DEMANDS, {"gravity_length_m": (0, strip_drag.LENGTH_M)}
-    ),
-    "strip": KnownAnswer(
-        strip.strip,
-        strip.DEMANDS,
-        {
-            "vertices": VERTICES,
-            "gamma": (0, strip.LARGEST_GAMMA),
-            "strain": (strip.START_STRAIN, 0.5),
-        },
-    ),
+    "strip-drag": KnownAnswer(strip_drag.strip_drag, strip_drag.DEMANDS, strip_drag.BOUNDS),
+    "strip": KnownAnswer(strip.strip, strip.DEMANDS, strip.BOUNDS),
     "landed-strip": KnownAnswer(
-        landed_strip.landed_strip,
-        landed_strip.DEMANDS,
-        {
-            "friction": (landed_strip.SMALLEST_FRICTION, FRICTION_MAX),
-            "gravity_length_m": landed_strip.GRAVITY_LENGTH_RANGE_M,
-            "vertices": VERTICES,
-        },
+        landed_strip.landed_strip, landed_strip.DEMANDS, landed_strip.BOUNDS
     ),
-    "cantilever": KnownAnswer(
-        cantilever.cantilever, cantilever.DEMANDS, {"gamma": cantilever.GAMMA_RANGE}
-    ),
+    "cantilever": KnownAnswer(cantilever.cantilever, cantilever.DEMANDS, cantilever.BOUNDS),
     "lateral-buckling": KnownAnswer(
-        lateral_buckling.lateral_buckling,
-        lateral_buckling.DEMANDS,
-        {"width_over_length": lateral_buckling.WIDTH_RANGE},
+        lateral_buckling.lateral_buckling, lateral_buckling.DEMANDS, lateral_buckling.BOUNDS
     ),
-    "capstan": KnownAnswer(capstan.capstan, capstan.DEMANDS, {"wrap_deg": capstan.WRAP_DEG_RANGE}),
+    "capstan": KnownAnswer(capstan.capstan, capstan.DEMANDS, capstan.BOUNDS),
 }
 
 

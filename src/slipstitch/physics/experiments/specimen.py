@@ -17,6 +17,7 @@ MEMBRANE_STIFFNESS_N_M = 200.0
 DIAGONALS_OVER_EDGES = 1000.0
 REST_M = 1.0e-7  # largest movement in a step that counts as rest
 STEPS_MAX = 400  # until it rests
+VERTICES_RANGE = (8, math.inf)  # along a strip
 
 Motion = Callable[[float], np.ndarray]  # positions (V, 3) at a time, as for `ClothSolver.advance`
 

@@ -27,6 +27,11 @@ START_STRAIN = 1.0e-4
 LARGEST_STRAIN = 0.345  # past 0.3303, where the foot lies flat
 LARGEST_GAMMA = 0.3  # above, the weight shifts the friction at slip by more than 0.5 %
 SLIP_M = 1.0e-5  # the foot's elastic microslip stays below
+BOUNDS = {
+    "vertices": specimen.VERTICES_RANGE,
+    "gamma": (0.0, LARGEST_GAMMA),
+    "strain": (START_STRAIN, 0.5),
+}
 DEMANDS = (specimen.Demand("regime"), specimen.Demand("slip_strain", 0.006, relative=False))
 FLAT_FOOT_RAD = math.pi / 2
 

@@ -32,6 +32,7 @@ from slipstitch.physics.experiments.specimen import (
 
 DEMANDS = (Demand("pull_over_w_m", 0.02), Demand("flat_tail_m", 1e-3, relative=False))
 LENGTH_M, HOLDER_M = 0.20, 0.15  # of the simulated strip, and height of its holder, a hinge
+BOUNDS = {"gravity_length_m": (0.0, LENGTH_M)}
 
 
 @dataclass(frozen=True)

@@ -11,13 +11,3 @@ from slipstitch.physics.friction_law.mechanisms import (
     Mechanism,
     Parameter,
 )
-
-__all__ = [
-    "CONTACT_MECHANISMS",
-    "Contact",
-    "ContactMechanism",
-    "Curve",
-    "FrictionLaw",
-    "Mechanism",
-    "Parameter",
-]
