@@ -137,3 +137,34 @@ def test_only_a_drop_at_the_end_of_the_loading_is_a_first_slip(slid_s, first):
     reading = spring_slider._read(trace, slider, 1.0)
     assert (reading.first_half_mN is not None) == first
     assert reading.first_unseen == (not first)
+
+
+def sticking(load_kg, gap_s=0.0):
+    """A noisy trace of a slider that sticks and slips over 30 mm, from a relaxed spring on."""
+    slider = Slider(load_kg, 60.0, 1.5e-3)
+    kinetic, excess = 0.35 * 9.81 * load_kg, 0.08 * 9.81 * load_kg
+    loading_s = (kinetic + excess) / slider.spring_N_m / slider.speed_m_s
+    time = np.arange(0.0, loading_s + 21.0, 0.012)
+    # After the first stick the cycle begins with its slip, half a stick before the level.
+    swing_N = np.hypot(excess, slider.inertial_force)
+    stick_s = 2 * excess / slider.spring_N_m / slider.speed_m_s
+    later = steady_force(slider, kinetic, swing_N, np.maximum(time - loading_s, 0.0) + stick_s)
+    force = 1e3 * np.where(time < loading_s, slider.spring_N_m * slider.speed_m_s * time, later)
+    trace = pd.DataFrame({"t_s": time, "force_mN": force})
+    trace["force_mN"] += np.random.default_rng(2).normal(0, 8.0, len(time))
+    return slider, trace[(time < loading_s + 4.0) | (time > loading_s + 4.0 + gap_s)]
+
+
+@pytest.mark.parametrize("gap_s", [0.0, 1.0])
+def test_neither_long_sticks_nor_gaps_nor_noise_are_an_uneven_track(gap_s):
+    """Of the heavier sliders the record holds one to three slips, of which it is the most."""
+    sliders, traces = zip(*(sticking(kg, gap_s) for kg in (0.1, 0.15, 0.2, 0.3, 0.4)), strict=True)
+    noise = np.full(len(sliders), 8.0)
+    readings = [spring_slider._read(t, s, 8.0) for t, s in zip(traces, sliders, strict=True)]
+    inertial = np.array([1e3 * slider.inertial_force for slider in sliders])
+    lines, of_tracks = spring_slider._features(readings, noise, inertial)
+    level = {i: value for i, quantity, value, *_ in lines if quantity == spring_slider.LEVEL}
+    masses = np.array([slider.mass_kg for slider in sliders])
+    np.testing.assert_allclose([level[i] for i in range(5)], 1e3 * 0.35 * 9.81 * masses, rtol=0.03)
+    assert (of_tracks < 0.015 * np.array(list(level.values()))).all()
+    assert not any(len(line) > 4 for line in lines)  # no drop is taken as unseen

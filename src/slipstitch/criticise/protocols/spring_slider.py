@@ -7,7 +7,7 @@ putting steady stick-slip of the same size, sampling and noise through the same 
 
 from __future__ import annotations
 
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 import pandas as pd
@@ -27,10 +27,16 @@ STICKING_FRACTION = 0.5
 # Of the line of the loading spring: below it, the slider has moved before its first drop.
 UNMOVED_FRACTION = 0.95
 SPIKE_SAMPLES = 5
+# Samples further apart, in medians of their distance, hide what happened between them.
+GAP = 2.5
 SMOOTHINGS_A_PERIOD = 8
 MOST_BLOCKS = 10
 SYNTHETIC_TRACES = 4
 USUAL_EXCESS = 0.1
+# No track is known to be more even than this.
+EVENEST = 0.003
+# Fewer slips of a run do not tell their scatter, but have that of single ones.
+FEWEST_SLIPS = 3
 # Scatter of a single slip and of a block's mean where too few slips tell.
 USUAL_SINGLE, USUAL_BLOCK = 0.1, 0.03
 # Of the swing that inertia makes, what more than linear damping takes; and of it, the excess up to
@@ -92,8 +98,7 @@ class Slips:
 def slips_of(time_s: np.ndarray, force_mN: np.ndarray, slider: Slider, u_mN: float) -> Slips:
     """Drops after the slider stuck, within a natural period; the rest follows an uneven track."""
     step = (time_s[-1] - time_s[0]) / (len(time_s) - 1)
-    period = 2 * np.pi * np.sqrt(slider.mass_kg / slider.spring_N_m)
-    width = int(period / SMOOTHINGS_A_PERIOD / step)
+    width = int(slider.period_s / SMOOTHINGS_A_PERIOD / step)
     if width > SPIKE_SAMPLES:
         force_mN = median_filter(force_mN, SPIKE_SAMPLES)
     if width > 1:
@@ -101,7 +106,7 @@ def slips_of(time_s: np.ndarray, force_mN: np.ndarray, slider: Slider, u_mN: flo
     peaks, _ = find_peaks(force_mN, prominence=DROP_NOISES * u_mN)
     troughs, _ = find_peaks(-force_mN, prominence=DROP_NOISES * u_mN)
     loading = 1e3 * slider.spring_N_m * slider.speed_m_s
-    longest = max(int(np.ceil(period / step)), 3)
+    longest = max(int(np.ceil(slider.period_s / step)), 3)
     found = []
     for peak in peaks:
         after = troughs[troughs > peak]
@@ -117,8 +122,15 @@ def slips_of(time_s: np.ndarray, force_mN: np.ndarray, slider: Slider, u_mN: flo
 
 
 def slips_of_trace(trace: pd.DataFrame, slider: Slider, u_mN: float) -> Slips:
-    """Find the slips of a run, recording by recording: nothing is known of what is between."""
-    parts = trace.groupby(trace.get("recording", 0) * np.ones(len(trace)), sort=False)
+    """Find the slips of a run, part by part: nothing is known of what is between recordings.
+
+    Nor of what a gap hides that is longer than what is smoothed over.
+    """
+    steps = np.diff(trace["t_s"].to_numpy(float), prepend=trace["t_s"].iloc[0])
+    hides = max(GAP * np.median(steps), slider.period_s / SMOOTHINGS_A_PERIOD)
+    recording = trace["recording"].to_numpy() if "recording" in trace else np.zeros(len(trace))
+    new = (np.diff(recording, prepend=recording[0]) != 0) | (steps > hides)
+    parts = trace.groupby(np.cumsum(new), sort=False)
     found = [
         astuple(
             slips_of(part["t_s"].to_numpy(float), part["force_mN"].to_numpy(float), slider, u_mN)
@@ -129,29 +141,42 @@ def slips_of_trace(trace: pd.DataFrame, slider: Slider, u_mN: float) -> Slips:
     return Slips(*map(np.concatenate, zip(*found, strict=True)))
 
 
-def half_drop_bias(
+def of_extraction(
     time_s: np.ndarray, slider: Slider, level_mN: float, half_mN: float, u_mN: float
-) -> float:
-    """What extraction adds to the half drop, from synthetic traces of steady stick-slip."""
+) -> tuple[float, float]:
+    """What extraction adds to the half drop, and by how much it scatters the slips' middles, mN.
+
+    From synthetic traces of steady stick-slip on an even track.
+    """
     random = np.random.default_rng(1)
     clean = 1e3 * steady_force(slider, 1e-3 * level_mN, 1e-3 * half_mN, time_s - time_s[0])
     found = []
     for _ in range(SYNTHETIC_TRACES):
         noisy = clean + u_mN * random.standard_normal(len(clean))
-        found.append(slips_of(time_s, noisy, slider, u_mN).half_mN[1:])
-    found = np.concatenate(found)
-    return float(found.mean() - half_mN) if len(found) else 0.0
+        trace = pd.DataFrame({"t_s": time_s, "force_mN": noisy})
+        slips = slips_of_trace(trace, slider, u_mN)
+        found.append((slips.half_mN[1:], slips.middle_mN[1:]))
+    halves, middles = map(np.concatenate, zip(*found, strict=True))
+    return (float(halves.mean() - half_mN), float(middles.std())) if len(halves) else (0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class _Reading:
-    """A run's slips after the first, its steady force, and the first slip if it began relaxed."""
+    """A run's slips after the first, its steady force, and the first slip if it began relaxed.
+
+    ``quiet``: it slid on with few slips or none. ``middles_mN`` are those of its slips, or means of
+    its force where it is quiet. ``bias_mN`` is what extraction adds to half drops, ``noise_mN`` how
+    much it scatters the middles.
+    """
 
     slips: Slips
     steady_mN: np.ndarray
+    quiet: bool
+    middles_mN: np.ndarray
     first_half_mN: float | None
     first_unseen: bool
     bias_mN: float
+    noise_mN: float
 
 
 def _unmoved(time: np.ndarray, force: np.ndarray, peak_s: float, slider: Slider) -> bool:
@@ -178,15 +203,24 @@ def _read(trace: pd.DataFrame, slider: Slider, u_mN: float) -> _Reading | None:
     if relaxed and len(slips.time_s) and _unmoved(time, force, slips.time_s[0], slider):
         first = float(slips.half_mN[0])
     keep = settled[np.minimum(np.searchsorted(time, slips.time_s), len(time) - 1)]
+    # A stick whose end the record does not reach tells neither of drops nor of the track.
+    sticks = len(slips.time_s) and (time[-1] - slips.time_s[-1]) * loading < 4 * slips.half_mN[-1]
+    if keep.sum() < FEWEST_SLIPS and sticks and relaxed:
+        keep = np.arange(len(slips.time_s)) > 0
     kept = Slips(slips.time_s[keep], slips.middle_mN[keep], slips.half_mN[keep])
     if settled.sum() < 10:
         return None
-    bias = 0.0
-    if len(kept.half_mN) >= 3:
+    quiet = len(kept.time_s) < FEWEST_SLIPS and not sticks
+    middles = kept.middle_mN if len(kept.time_s) else slips.middle_mN
+    if quiet:
+        middles = _block_means(force[settled])
+    bias, noise = 0.0, u_mN / np.sqrt(settled.sum() / MOST_BLOCKS)
+    if len(kept.half_mN) >= FEWEST_SLIPS:
         half = float(kept.half_mN.mean())
         short = time <= time[0] + 30 * (np.diff(kept.time_s).mean())
-        bias = half_drop_bias(time[short], slider, late, half, u_mN)
-    return _Reading(kept, force[settled], first, relaxed and not len(slips.time_s), bias)
+        bias, noise = of_extraction(time[short], slider, late, half, u_mN)
+    unseen = relaxed and not len(slips.time_s)
+    return _Reading(kept, force[settled], bool(quiet), middles, first, unseen, bias, float(noise))
 
 
 def _block_means(values: np.ndarray) -> np.ndarray:
@@ -194,14 +228,15 @@ def _block_means(values: np.ndarray) -> np.ndarray:
     return np.array([part.mean() for part in np.array_split(values, max(blocks, 1))])
 
 
-def _pooled(series: list[np.ndarray], otherwise: float) -> float:
-    """Relative sd within a run, pooled over runs."""
+def _pooled(series: list[np.ndarray], otherwise: float, noises: list[float] | None = None) -> float:
+    """Relative sd within a run, pooled over runs, beyond what noise of a known sd makes."""
     total = degrees = 0.0
-    for values in series:
+    for values, noise in zip(series, noises or [0.0] * len(series), strict=True):
         if len(values) >= 2:
-            total += float(np.sum((values / values.mean() - 1) ** 2))
-            degrees += len(values) - 1
-    return float(np.sqrt(total / degrees)) if degrees >= 3 else otherwise
+            mean, own = values.mean(), len(values) - 1
+            total += float(np.sum((values / mean - 1) ** 2)) - own * (noise / mean) ** 2
+            degrees += own
+    return float(np.sqrt(max(total, 0.0) / degrees)) if degrees >= 3 else otherwise
 
 
 def _features(
@@ -215,30 +250,31 @@ def _features(
     The less a slider sticks between its slips, the more damping changes its swing.
     """
     good = [r for r in readings if r is not None]
-    slipping = [r for r in good if len(r.slips.half_mN) >= 3]
-    middles = {id(r): _block_means(r.slips.middle_mN) for r in slipping}
-    middles |= {id(r): _block_means(r.steady_mN) for r in good if id(r) not in middles}
+    slipping = [r for r in good if len(r.slips.half_mN) >= FEWEST_SLIPS]
+    levels = {id(r): _block_means(r.middles_mN) for r in slipping + [r for r in good if r.quiet]}
     halves = {id(r): _block_means(r.slips.half_mN) for r in slipping}
-    level_sd = _pooled(list(middles.values()), USUAL_BLOCK)
+    level_sd = _pooled(list(levels.values()), USUAL_BLOCK)
     half_sd = _pooled(list(halves.values()), USUAL_BLOCK)
     # A slider that slides on shows the track in its force, one that slips in the slips' middles.
-    sliding = [middles[id(r)] for r in good if id(r) not in halves]
-    uneven = _pooled([*sliding, *(r.slips.middle_mN for r in slipping)], USUAL_BLOCK)
+    middles = [r.middles_mN for r in good]
+    uneven = max(_pooled(middles, USUAL_BLOCK, [r.noise_mN for r in good]), EVENEST)
+    middle_sd = _pooled(middles, USUAL_BLOCK)
     single_sd = _pooled([r.slips.half_mN for r in slipping], USUAL_SINGLE)
     lines, of_tracks = [], np.zeros(len(readings))
     for i, reading in enumerate(readings):
         if reading is None:
             continue
-        u, blocks = u_mN[i], middles[id(reading)]
+        u = u_mN[i]
+        blocks, sd = reading.middles_mN, middle_sd
+        if id(reading) in levels:
+            blocks, sd = levels[id(reading)], level_sd
         level = float(blocks.mean())
         # A track as uneven as the slips' middles makes drops of its own, at no excess at rest.
         of_track = of_tracks[i] = uneven * level
         inertial = INERTIAL_ERROR * inertial_mN[i]
         doubt = np.hypot(inertial, of_track)
         # The blocks' scatter has the noise of the readings in it.
-        error = np.hypot(
-            level * level_sd / np.sqrt(len(blocks)), u / np.sqrt(len(reading.steady_mN))
-        )
+        error = np.hypot(level * sd / np.sqrt(len(blocks)), u / np.sqrt(len(reading.steady_mN)))
         lines.append((i, LEVEL, level, float(error)))
         # Unseen drops lie below twice the threshold's half: between 0 and 3 noises.
         unseen = (0.25 * DROP_NOISES * u, float(np.hypot(0.25 * DROP_NOISES * u, doubt)))
@@ -253,7 +289,10 @@ def _features(
             half = float(reading.slips.half_mN.mean() - reading.bias_mN)
             of_noise = 0.3 * abs(reading.bias_mN) + 0.2 * u * of_mean
             seen(SWING, half, np.hypot(half * half_sd * of_mean, of_noise))
-        elif not len(reading.slips.half_mN):
+        elif len(reading.slips.half_mN) and not reading.quiet:
+            half, number = float(reading.slips.half_mN.mean()), len(reading.slips.half_mN)
+            seen(SWING, half, np.hypot(single_sd * half, u / np.sqrt(2)) / np.sqrt(number))
+        elif reading.quiet and not len(reading.slips.half_mN):
             quiet = float(np.hypot(unseen[1], DAMPED_EXCESS * inertial_mN[i]))
             lines.append((i, SWING, unseen[0], quiet, unseen[0]))
         if reading.first_half_mN is not None:
@@ -289,6 +328,9 @@ def features(tables, nominal, measured) -> SpringSliderBlock | None:
         u = u * noises[0].allowance
         sliders = map(Slider, mass, spring, speed)
         readings = list(map(_read, own, sliders, u))
+        # What is stated may be less than the noise that the traces have.
+        louder = noises[0].factor / noises[0].allowance
+        readings = [r and replace(r, noise_mN=louder * r.noise_mN) for r in readings]
         lines, of_tracks = _features(readings, u, 1e3 * speed * np.sqrt(spring * mass))
     if not lines:
         return None

@@ -25,6 +25,11 @@ class Slider:
     speed_m_s: float
 
     @property
+    def period_s(self) -> float:
+        """The natural period 2 pi sqrt(m / k)."""
+        return 2 * np.pi * np.sqrt(self.mass_kg / self.spring_N_m)
+
+    @property
     def inertial_force(self) -> float:
         """V sqrt(k m), N: the spring force that the drive speed alone swings by."""
         return self.speed_m_s * np.sqrt(self.spring_N_m * self.mass_kg)
