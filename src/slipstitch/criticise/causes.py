@@ -53,6 +53,7 @@ class Bench:
     turn_early_m: float = 0.0
     edge_zero_m: float = 0.0
     contact_zero_m: float = 0.0
+    contact_scale_error: float = 0.0
     contact_delay_s: float = 0.0
     force_delay_s: float = 0.0
     force_drift_N_h: float = 0.0
@@ -188,6 +189,8 @@ _ZEROS = (
     Zero("turn_early_m", "stage", "place of the turn", "mm", 1e-3, 2.0),
     Zero("edge_zero_m", "edge camera", "zero of the trailing edge", "mm", 1e-3, 0.5),
     Zero("contact_zero_m", "contact camera", "zero of the contact length", "mm", 1e-3, 3.0),
+    # As well as a ruler in a picture tells.
+    Zero("contact_scale_error", "contact camera", "scale of the contact length", "1", 1.0, 0.03),
     Zero("contact_delay_s", "contact camera", "delay of the contact length", "s", 1.0, 0.2),
     # Of the critical: a few per cent, as in dry joints and springs.
     Zero("damping", "slider", "damping ratio", "1", 1.0, 0.03, of_sensor=False),

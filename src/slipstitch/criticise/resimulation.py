@@ -202,13 +202,15 @@ def _read_off(
     speed = speed_mm_s if np.isfinite(speed_mm_s) else 0.0
     late = readings.get("time_lag_s", 0.0) * speed + 1e3 * readings.get("stage_zero_m", 0.0)
     scale = readings.get("camera_scale", 1.0)
-    for quantity, values, zero, delay in (
-        ("te_x_mm", shape.edge_m, "edge_zero_m", 0.0),
-        ("contact_len_mm", shape.contact_m, "contact_zero_m", readings.get("contact_delay_s", 0.0)),
+    of_contact = scale * (1 + readings.get("contact_scale_error", 0.0))
+    later = late + readings.get("contact_delay_s", 0.0) * speed
+    for quantity, values, factor, zero, behind in (
+        ("te_x_mm", shape.edge_m, scale, "edge_zero_m", late),
+        ("contact_len_mm", shape.contact_m, of_contact, "contact_zero_m", later),
     ):
-        stage = np.maximum(frames["x_stage_mm"].to_numpy() - late - delay * speed, 0.0)
+        stage = np.maximum(frames["x_stage_mm"].to_numpy() - behind, 0.0)
         seen = np.interp(stage, 1e3 * shape.stage_m, 1e3 * values)
-        frames[f"{quantity}_{name}"] = scale * seen + 1e3 * readings.get(zero, 0.0)
+        frames[f"{quantity}_{name}"] = factor * seen + 1e3 * readings.get(zero, 0.0)
 
 
 def compare(frames: pd.DataFrame, *quantities: str) -> dict:

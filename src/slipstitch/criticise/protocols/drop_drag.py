@@ -48,6 +48,7 @@ class DropDragBlock(protocol.Block):
         "turn_early_m",
         "edge_zero_m",
         "contact_zero_m",
+        "contact_scale_error",
         "contact_delay_s",
     )
 
@@ -77,6 +78,7 @@ class DropDragBlock(protocol.Block):
         scale, late = bench.camera_scale, bench.time_lag_s * runs["speed_mm_s"]
         start_mm, edge_zero = 1e3 * bench.stage_zero_m, 1e3 * bench.edge_zero_m
         contact_zero = 1e3 * bench.contact_zero_m
+        of_contact = 1e3 * scale * (1 + bench.contact_scale_error)
         late = np.where(np.isnan(late), 0.0, late) + start_mm
         edge_mm = scale * (runs["stage_mm"] - lag - late) + edge_zero
         turn_mm = runs["turn_mm"] - start_mm - 1e3 * bench.turn_early_m
@@ -84,7 +86,7 @@ class DropDragBlock(protocol.Block):
         values = {
             "lag_mm": runs["stage_mm"] - edge_mm,
             "edge_slope": np.full(n, scale),
-            "contact_len_mm": 1e3 * contact * scale + contact_zero,
+            "contact_len_mm": of_contact * contact + contact_zero,
             "first_motion_mm": protocol.sampled(
                 slip + late + np.maximum(runs["threshold_mm"] - jump, 0.0) / scale,
                 runs["grid_step"],
@@ -117,7 +119,7 @@ class DropDragBlock(protocol.Block):
                 r = self.run[i]
                 since = 1e-3 * np.maximum(runs["stuck_mm"][r] - behind[r], 0.0)
                 stuck = np.interp(since, advance[which[r]], flat[which[r]])
-                result[i] = 1e3 * scale * (stuck.sum() / len(stuck)) + contact_zero
+                result[i] = of_contact * (stuck.sum() / len(stuck)) + contact_zero
         return result
 
 

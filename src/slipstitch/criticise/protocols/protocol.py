@@ -70,7 +70,7 @@ RUN_COLUMNS = (
 )
 
 
-USUAL_AREA_M2 = 0.01  # where it was not recorded
+USUAL_AREA_M2, USUAL_SESSION_H = 0.01, 2.0  # where they were not recorded
 
 
 @dataclass
@@ -93,11 +93,15 @@ class Block:
     rows: pd.DataFrame
 
     def hours(self) -> np.ndarray:
-        """(features,) time since the middle of the session; 0 where it was not recorded."""
+        """(features,) time since the middle of the session; 0 where it was not recorded.
+
+        Without any clock, runs stand in the order of the table, in a session of a usual length.
+        """
         clock = self.rows["clock_min"].to_numpy(float) / 60.0
         known = np.isfinite(clock)
         if not known.any():
-            return np.zeros(len(clock))
+            order = pd.factorize(self.rows["run_id"])[0]
+            return USUAL_SESSION_H * (order / max(order.max(), 1) - 0.5)
         return np.where(known, clock - 0.5 * (clock[known].min() + clock[known].max()), 0.0)
 
     def predict(self, law: FrictionLaw, bench: Bench) -> np.ndarray:
