@@ -37,6 +37,33 @@ def test_runs_that_lie_far_off_against_a_strong_effect_are_told_from_it(tmp_path
     assert outcome.global_p < 0.02
 
 
+def test_a_far_run_among_few_does_not_hide_in_the_scatter_that_it_makes(tmp_path):
+    make_case(81, "null", tmp_path, plant=({}, ["drop_drag"]))
+    m = measured(tmp_path)
+    first = m.rows["run_id"].unique()[:8]
+    folder = pd.read_csv(tmp_path / "drop_drag_runs.csv")
+    folder[folder["run_id"].isin(first)].to_csv(tmp_path / "drop_drag_runs.csv", index=False)
+    frames = pd.read_csv(tmp_path / "drop_drag.csv")
+    frames[frames["run_id"].isin(first)].to_csv(tmp_path / "drop_drag.csv", index=False)
+    few = measured(tmp_path)
+    own = (few.rows["run_id"] == first[5]).to_numpy()
+    values = {p.name: p.null for p in few.null_parameters}
+    far = few.predict({"mu_face": values["mu_face"] + 0.35}, ()) - few.predict(values, ())
+    few.y = few.y + np.where(own, far, 0.0)
+    _, state = robust_fit(few)
+    assert first[5] in {outlier.run_id for outlier in state.measurements.outliers}
+    assert state.scatters["drop_drag"].run < 0.05
+
+
+def test_the_scale_of_the_contact_camera_is_a_fault_and_no_stiffer_cloth(tmp_path):
+    def spoil(frames):
+        frames["contact_len_mm"] *= 1.05
+
+    analysis = with_frames(tmp_path, spoil)
+    assert analysis.verdict == "none"
+    assert any("contact" in finding.quantity for finding in analysis.data_findings)
+
+
 def test_the_noise_of_a_sensor_is_that_of_its_own_residuals(tmp_path):
     make_case(81, "null", tmp_path, plant=({}, ["drop_drag"]))
     m = measured(tmp_path)

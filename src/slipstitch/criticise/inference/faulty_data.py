@@ -24,6 +24,7 @@ from slipstitch.criticise.inference.state import (
     rich_columns,
     state_at,
 )
+from slipstitch.criticise.inference.structure import minus_log10_p
 from slipstitch.criticise.measurements import Measurements, Outlier
 
 # Prior probabilities of the wide component; its standard deviation in ln mu of a run, and in units
@@ -139,7 +140,8 @@ class _Tails:
 
     def __init__(self, measurements: Measurements, group: Group, residual, found: Alternatives):
         self._m, self._stated, self.group = measurements, group, group
-        self._residual, self._tests = residual, found.tests
+        tested = (test.columns for test in found.tests if test.nuisance is None)
+        self._residual, self._tested = residual, [columns[group.index] for columns in tested]
         # Effects would count as scatter, and hide what lies far off, without columns for them.
         self._rich = np.column_stack(
             [rich_columns(found.tests, group), mixed_model.zeros_of(measurements, group)]
@@ -152,12 +154,17 @@ class _Tails:
         self._several = len(residual) > 1.5 * (self._run.max() + 1)
 
     def update(self, number: int) -> None:
-        """Scatter, then the probabilities of the wide components, then the sensors' noise."""
-        scatter = self._estimated(self._scatter)
+        """Scatter, then the probabilities of the wide components, then the sensors' noise.
+
+        At first the scatter is as is usual: of few runs, one that lies far off would hide in the
+        scatter that it makes.
+        """
+        scatter = self._estimated(self._scatter) if number else self._scatter
         precision = self._precision(scatter)
-        last = number == ROUNDS - 1 or self._effects == MOST_EFFECTS
-        column = None if last else self._outstanding(precision)
-        if column is not None:
+        while number not in (0, ROUNDS - 1) and self._effects < MOST_EFFECTS:
+            column = self._outstanding(precision)
+            if column is None:
+                break
             self._effects += 1
             self._free = np.column_stack([self._free, column])
             scatter = self._estimated(scatter)
@@ -190,27 +197,28 @@ class _Tails:
 
     def _outstanding(self, precision: np.ndarray) -> np.ndarray | None:
         """The alternative's columns that stand out most, if they do without any two runs."""
-        pulled, limit, found = precision @ self._residual, -np.log(STANDS_OUT), []
+        pulled, limit, found = precision @ self._residual, -np.log10(STANDS_OUT), []
 
-        def evidence(columns: np.ndarray) -> tuple[float, np.ndarray]:
-            """Minus the logarithm of the p of columns, and what they explain of the residual."""
-            gram, score = columns.T @ precision @ columns, columns.T @ pulled
+        def evidence(columns: np.ndarray, taken: np.ndarray) -> tuple[float, np.ndarray]:
+            """-log10 p of columns, whose V^-1 X is ``taken``, and what they explain."""
+            gram, score = columns.T @ taken, columns.T @ pulled
             if gram[0, 0] <= 1e-9:
                 return 0.0, np.zeros(len(pulled))
             sizes = np.linalg.pinv(gram, 1e-6, hermitian=True) @ score
-            return -chi_square.logsf(float(score @ sizes), columns.shape[1]), columns @ sizes
+            return float(minus_log10_p(score @ sizes, columns.shape[1])), columns @ sizes
 
-        for test in self._tests:
-            if test.nuisance is None:
-                columns = test.columns[self.group.index]
-                found.append((*evidence(columns), columns))
+        ends = np.cumsum([0, *(columns.shape[1] for columns in self._tested)])
+        taken = precision @ np.column_stack([np.zeros((len(pulled), 0)), *self._tested])
+        for columns, start, end in zip(self._tested, ends, ends[1:], strict=False):
+            found.append((*evidence(columns, taken[:, start:end]), columns))
         for strength, effect, columns in sorted(found, key=lambda one: -one[0]):
             if strength <= limit:
                 break
             # A patch around one run is another word for a run that lies far off.
             gains = np.bincount(self._run, effect * pulled)
             others = ~np.isin(self._run, np.argsort(-gains)[:FAR_TOGETHER])
-            if evidence(columns * others[:, None])[0] > limit:
+            kept = columns * others[:, None]
+            if evidence(kept, precision @ kept)[0] > limit:
                 return columns
         return None
 

@@ -122,8 +122,8 @@ def outcome_of(
     # Half of the data sets pull a column that may only be added the other way.
     usual = safe * np.where([test.one_sided for test in tests], 0.5, 1.0)
     inflation = np.maximum(simulated.mean(axis=0) / usual, SMALLEST_INFLATION)
-    log_p = _minus_log10(observed / inflation, safe)
-    log_null = _minus_log10(simulated / inflation, safe[None, :])
+    log_p = minus_log10_p(observed / inflation, safe)
+    log_null = minus_log10_p(simulated / inflation, safe[None, :])
     log_p = np.where(usable, log_p, -np.inf)
     log_null[:, ~usable] = -np.inf
     adjusted = np.ones(len(tests))
@@ -158,7 +158,7 @@ def outcome_of(
     )
 
 
-def _minus_log10(statistic, degrees):
+def minus_log10_p(statistic, degrees):
     """-log10 of the upper tail of chi squared; of many degrees by its leading term far out."""
     x, degrees = np.broadcast_arrays(np.maximum(statistic, 0.0), np.asarray(degrees))
     found = np.where(degrees == 1, np.log(2.0) + log_ndtr(-np.sqrt(x)), -0.5 * x)
