@@ -79,6 +79,7 @@ _ENTRIES = (
     Covariate("orientation_deg", "direction to the warp", "°", waves=(1, 2, 3, 4)),
     Covariate("azimuth_deg", "lab direction", "°", waves=(1, 2, 3)),
     Covariate("load_ratio", "load", "p/p₀", _BUMPS, logarithmic=True),
+    Covariate("load_before", "load of the run before", "own loads", _TRENDS, logarithmic=True),
     Covariate("speed_mm_s", "speed", "mm/s", _BUMPS, logarithmic=True),
     Covariate("operator", "operator", text=True),
     Covariate("support", "support", text=True),
@@ -100,6 +101,22 @@ class Shape:
     columns: np.ndarray
     scanned: bool = False
     spanned: bool = False
+
+
+def load_before(rows: pd.DataFrame) -> np.ndarray:
+    """Load of the protocol's run before over a feature's own, NaN where no load is varied.
+
+    Runs stand in the order of their clock, or of the table where no clock was recorded.
+    """
+    found = np.full(len(rows), np.nan)
+    for _, part in rows.groupby("protocol", sort=False):
+        runs = part.groupby("run_id", sort=False)[["clock_min", "load_ratio"]].first()
+        if runs["clock_min"].notna().all():
+            runs = runs.sort_values("clock_min", kind="stable")
+        if runs["load_ratio"].nunique() > 1:
+            ratio = runs["load_ratio"].shift() / runs["load_ratio"]
+            found[rows.index.get_indexer(part.index)] = part["run_id"].map(ratio)
+    return found
 
 
 def _levels(values: np.ndarray) -> np.ndarray:

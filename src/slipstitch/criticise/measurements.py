@@ -18,6 +18,7 @@ from slipstitch.criticise.causes import (
     DataFinding,
     Zero,
 )
+from slipstitch.criticise.covariates import load_before
 from slipstitch.criticise.force_cells import cell_faults
 from slipstitch.criticise.plausibility import implausible
 from slipstitch.criticise.protocols import INSTRUMENT_QUANTITIES, PROTOCOLS
@@ -238,6 +239,7 @@ def assemble(case: Case, measured: bool = True) -> Measurements:
 def measurements_of(blocks: list[Block]) -> Measurements:
     """Measurements from blocks whose rows say their ``protocol``."""
     rows = pd.concat([block.rows for block in blocks], ignore_index=True)
+    rows["load_before"] = load_before(rows)
     return Measurements(
         blocks,
         rows,
