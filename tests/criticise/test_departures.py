@@ -270,6 +270,39 @@ def test_noncentrality_grows_with_the_square_of_a_small_effect():
     assert strengths.noncentrality(plan, {}) == pytest.approx(0.0, abs=1e-9)
 
 
+def test_faults_that_are_open_leave_less_to_see_and_never_more():
+    plan = draw_plan(26, "ambiguous", False)
+    for seed in range(26, 4000, 40):
+        plan = draw_plan(seed, "ambiguous", False)
+        if plan.protocols == ("drop_drag",):
+            break
+    known = strengths.noncentrality(plan, plan.effects)
+    zero, scale, noise = (
+        {"protocol": "drop_drag", "quantity": "contact_len_mm", "kind": kind, "size": size}
+        for kind, size in (("zero", 3.0), ("scale", 0.03), ("noise", 2.0))
+    )
+    plan.faults = [zero]
+    opened = strengths.noncentrality(plan, plan.effects)
+    plan.faults = [zero, noise]
+    assert strengths.noncentrality(plan, plan.effects) < opened < 0.7 * known
+    # The other zeros are as open: of a zero and a scale of one camera less is told.
+    strength = [strengths.fault_strength(plan, fault) for fault in (zero, zero | {"size": 6.0})]
+    assert strength[1] == pytest.approx(4 * strength[0], rel=1e-6)
+    assert strengths.fault_strength(plan, noise) == np.inf
+    assert 0 < strengths.fault_strength(plan, scale) < np.inf
+
+
+def test_noise_of_single_readings_is_hardly_told_from_scatter():
+    plan = draw_plan(2, "null", False)
+    for seed in range(2, 400):
+        plan = draw_plan(seed, "null", False)
+        if "incline" in plan.protocols:
+            break
+    fault = {"protocol": "incline", "quantity": "angle_deg", "kind": "noise", "size": 2.5}
+    plan.faults = [fault]
+    assert 0 <= strengths.fault_strength(plan, fault) < 10
+
+
 @pytest.mark.parametrize("which", range(len(AMBIGUOUS)))
 def test_an_ambiguous_design_cannot_tell(which):
     """What one of the tie explains, the other explains as well: nothing is left to separate."""
@@ -315,7 +348,10 @@ def test_scores_are_counted_as_the_table_says(benchmark):
         record("single", "cause", ["nap"], effects=nap, separation=50.0, **{"lambda": 50.0}),
         record("single", "none", effects=nap, separation=50.0, **{"lambda": 150.0}),
         record("track", "cause", ["static_kinetic"]),
+        record("outside", "confounded", effects={"memory": {}}, **{"lambda": 50.0}),
+        record("outside", "confounded", effects={"memory": {}}, **{"lambda": 50.0}),
     ]
+    records[-1]["alternatives"] = [["load_power"], ["run_before"]]
     rows = {row[0]: row for row in benchmark.scored(records)}
     assert rows["false alarm on null data"][2].endswith("1/2")
     assert rows["cause named on null data"][2].endswith("0/2")
@@ -323,6 +359,8 @@ def test_scores_are_counted_as_the_table_says(benchmark):
     assert rows["lambda >= 100, 5 % far readings: none"][2].endswith("1/1")
     assert rows["uneven track in (e): static friction named"][2].endswith("1/1")
     assert rows["parameters' intervals"][2].endswith("1/1")
+    (outside,) = (rows[name] for name in rows if name.startswith("outside, lambda >= 25"))
+    assert outside[2].endswith("1/2")
     assert "| false alarm" in benchmark.markdown(records)
 
 

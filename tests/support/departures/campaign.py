@@ -232,7 +232,8 @@ def _sized(rng, plan, names):
             share = sign * rng.uniform(0.7, 2.2)
         for _ in range(0 if large else 3):
             values = laws.scaled(name, share, **fixed)
-            seen = strength.noncentrality(plan, {name: values})
+            # As if slips were not sampled: every seed's sizes hang on that.
+            seen = strength.noncentrality(plan, {name: values}, sampled=False)
             unit = abs(laws.share_of(name, values))
             size = abs(values[name] - (1.0 if name == "camera_scale" else 0.0))
             wanted = size * np.clip(np.sqrt(aim / max(seen, 1e-6)), 0.1, 8.0)
@@ -353,12 +354,15 @@ def truth_of(plan):
         "lambda": 0.0,
         "separation": 0.0,
         "each": [],
+        "fault_strength": 0.0,
     }
     if names:
         truth["lambda"] = round(strength.noncentrality(plan, plan.effects), 2)
     if plan.family == "single":
         rivals = [m for m in laws.LIBRARY if m not in names]
         truth["separation"] = round(strength.separation(plan, plan.effects, rivals), 2)
+    if plan.fault_kind == "one":
+        truth["fault_strength"] = round(strength.fault_strength(plan, plan.faults[0]), 2)
     if plan.family == "pair":
         truth["each"] = [round(x, 2) for x in strength.shares_of_pair(plan, plan.effects)]
     return truth

@@ -153,11 +153,14 @@ def runs(rows, coefficient, effects, nominal, travel_mm, back_mm, step_mm, track
     return found | {"contact_mm": contact, "first_mm": first}
 
 
-WINDOWS = 3
+WINDOWS, START_MM = 3, 8.0
 
 
 def features(rows, coefficient, effects, nominal, travel_mm, track=None):
-    """Exact expectation of lag and contact length in three windows, and of the first motion, mm."""
+    """Exact expectation of lag and contact length in three windows, first motion, first contact.
+
+    All in mm; the first contact is the mean over the start of the way, where every cloth sticks.
+    """
     trace = runs(rows, coefficient, effects, nominal, travel_mm, 0.0, 2.0, track)
     scale = effects.get("camera_scale", {}).get("camera_scale", 1.0)
     delay = effects.get("time_lag", {}).get("time_lag", 0.0) * rows["speed_mm_s"]
@@ -168,6 +171,7 @@ def features(rows, coefficient, effects, nominal, travel_mm, track=None):
     columns = [part.mean(axis=0) for part in np.array_split(lag, WINDOWS)]
     columns += [part.mean(axis=0) for part in np.array_split(contact, WINDOWS)]
     columns.append(trace["first_mm"] + delay)
+    columns.append(scale * trace["contact_mm"][stage[:, 0] <= START_MM].mean(axis=0))
     return np.array(columns).T
 
 

@@ -86,6 +86,11 @@ def draw_faults(rng, protocols, how):
     return [draw_fault(rng, *every[i]) for i in chosen]
 
 
+def since_middle(clock_min):
+    """Two hours since the middle of a session: a drift that is off on average is an offset."""
+    return (clock_min - 75.0) / 120.0
+
+
 class Faults:
     """The faults of one protocol, looked up by column and kind."""
 
@@ -109,7 +114,7 @@ class Faults:
         value = exact * (1 + self.size(column, "scale")) + self.size(column, "zero") + error
         drift = self.size(column, "drift")
         if drift and clock_min is not None:
-            value = value + drift * (clock_min / 120.0 - 0.5)
+            value = value + drift * since_middle(clock_min)
         pitch = self.size(column, "quantised")
         return np.round(value / pitch) * pitch if pitch else value
 
