@@ -24,6 +24,7 @@ from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.film.camera_calibration import FloorPlace
 from slipstitch.film.edge_height import EdgeFinder
 from slipstitch.film.frame_schedule import Schedule
+from slipstitch.film.measure.clamp_height import EXACT_M
 from slipstitch.images.calibrated_view import BenchCamera
 from slipstitch.images.camera import Camera, pose
 from slipstitch.images.composition import compose_light, join
@@ -40,6 +41,7 @@ FLOORS = (*CONFIG.render.floors, "smooth-glass", "ceramic")
 PLACE = np.array([50.0, -60.0, 0.0, 3.0])  # mm, mm, degrees, mm
 PLACE_SD = np.array([0.5, 0.5, 0.1, 0.2])
 CORNER_PX, FOCAL_SD = 0.1, 5e-4
+CAMERA_MM = 0.36  # of such a calibration, as `slipstitch capture camera` states it
 
 
 def lifted(trajectory, lift_m):
@@ -100,14 +102,19 @@ def found(frames, camera):
 
 
 def summary(errors_mm, stated_mm):
-    """Return bias, root mean square and largest error; the root mean square of those stated."""
-    errors_mm = np.array(errors_mm)
+    """Return bias, root mean square and largest error; the root mean square of those stated.
+
+    Of the films whose stated error is so small that they would correct a reading.
+    """
+    corrects = np.array(stated_mm) < 1e3 * EXACT_M
+    errors_mm, stated_mm = np.array(errors_mm)[corrects], np.array(stated_mm)[corrects]
     return {
+        "would_not_correct": int((~corrects).sum()),
         "estimates": len(errors_mm),
         "bias_mm": float(errors_mm.mean()),
         "rms_mm": float(np.sqrt((errors_mm**2).mean())),
         "largest_mm": float(np.abs(errors_mm).max()),
-        "stated_of_image_mm": float(np.sqrt(np.mean(np.square(stated_mm)))),
+        "stated_rms_mm": float(np.sqrt(np.mean(np.square(stated_mm)))),
     }
 
 
@@ -140,8 +147,9 @@ def main():
                 continue
             errors_mm, stated_mm = told[name]
             errors_mm.append(1e3 * edge.height_m - height_mm)
-            stated_mm.append(1e3 * edge.error_m)
-            print(f"{number} {name} {errors_mm[-1]:+.2f} of {height_mm:.1f} mm", flush=True)
+            of_camera_mm = 0.0 if lens is camera else CAMERA_MM
+            stated_mm.append(float(np.hypot(1e3 * edge.error_m, of_camera_mm)))
+            print(f"{number} {name} {errors_mm[-1]:+.2f} ± {stated_mm[-1]:.2f} mm", flush=True)
     result = {name: summary(*errors) for name, errors in told.items()}
     films = {"films": arguments.films, "pixels": arguments.pixels}
     record = provenance_record("capture", inputs=[], config=films, started=started)

@@ -55,6 +55,13 @@ def test_a_cloth_like_the_floor_behind_has_no_edge():
     assert finder.found() is None
 
 
+def test_an_edge_that_rises_from_holder_to_holder_is_none():
+    finder, bench = EdgeFinder(lens(320, roll_deg=2.0), SCHEDULE), stage.Bench(lens(320))
+    for time_s in TIMES_S:
+        finder.add(time_s, bench.image(time_s))
+    assert finder.found() is None
+
+
 @pytest.mark.parametrize("times_s", [TIMES_S[:2], TIMES_S[2:], (7.1, 10.0)])
 def test_it_needs_the_cloth_at_rest_and_what_is_behind(times_s):
     finder = EdgeFinder(lens(320), SCHEDULE)

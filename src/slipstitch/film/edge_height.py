@@ -36,6 +36,8 @@ _SHAPE_SD_M = 0.0002
 _BLOCKS = 8
 # An edge explains so much of the light in at least so many of the columns, or is none.
 _EXPLAINED, _SHARE = 0.5, 0.4
+# Nor is an edge that rises by more from the middle to a holder: they are level within half of it.
+_RISE_MM = 1.0
 
 
 def cut_out(image: np.ndarray, place: np.ndarray, margin: int) -> tuple[np.ndarray, np.ndarray]:
@@ -101,7 +103,7 @@ class EdgeFinder:
         start = min(starts, key=lambda one: self._cost(np.array(one), light, columns))
         whole = self._fit(start, light, columns)
         explained = 1 - self._left_over(whole, light, columns) / ((light**2).sum(axis=0) + 1e-9)
-        if np.mean(explained > _EXPLAINED) < _SHARE:
+        if np.mean(explained > _EXPLAINED) < _SHARE or abs(whole[2]) > _RISE_MM:
             return None
         blocks = np.array_split(columns, _BLOCKS)
         parts = [self._fit(whole, light, np.setdiff1d(columns, block))[0] for block in blocks]
