@@ -84,14 +84,26 @@ def _one_line(error: BaseException | str) -> str:
     return "".join(letter if letter.isprintable() else ascii(letter)[1:-1] for letter in words)
 
 
-def _refuse_tight_memory() -> None:
-    """Refuse less address space than the libraries require: OpenBLAS would retry for ever."""
+def _fit_address_space() -> None:
+    """Refuse less address space than the libraries require; where it is limited, take their part.
+
+    OpenBLAS takes memory at its first product, and retries for ever where there is none left.
+    """
     limit = resource.getrlimit(resource.RLIMIT_AS)[0]
-    if limit != resource.RLIM_INFINITY and limit < LEAST_ADDRESS_SPACE:
+    if limit == resource.RLIM_INFINITY:
+        return
+    if limit < LEAST_ADDRESS_SPACE:
         raise SlipstitchError(
             f"not enough memory: the limit is {limit // 2**20} MiB (ulimit -v), at least "
             f"{LEAST_ADDRESS_SPACE // 2**20} MiB are required"
         )
+    import numpy as np
+    from scipy.linalg import blas
+
+    # NumPy and SciPy have an OpenBLAS each; small products go without.
+    square = np.eye(512)
+    square @ square[0]
+    blas.dgemv(1.0, square, square[0])
 
 
 def _say_cpu_time() -> None:
@@ -107,7 +119,7 @@ def _say_cpu_time() -> None:
 def _run(words: list[str]) -> int:
     """Parse, run; the verb's exit code."""
     with program.make_context("slipstitch", words) as context:
-        _refuse_tight_memory()
+        _fit_address_space()
         status = program.invoke(context)
         sys.stdout.flush()
         if "SLIPSTITCH_CPU_TIME" in os.environ:  # a job of the workflow: for its log
