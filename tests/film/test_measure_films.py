@@ -263,9 +263,9 @@ def test_the_example_is_measured_without_any_other_file(tmp_path, monkeypatch, c
     page = (tmp_path / "page.html").read_text()
     assert f"True value: <b>{known['friction']:.3f}</b>. This example was simulated" in page
     assert "<td>roll, degrees</td><td>-2.1 … +2.1</td><td>+0.1</td>" in page
-    # The camera's file does not say how exactly it tells heights.
+    # Of so few pixels the edge cannot be told, and nobody told the clamps' height.
     assert "<td>149 ... 151 mm</td><td>assumed 150 ± 1 mm, ± 0.016 of friction within" in page
-    assert told["clamp_height_mm"] is None and told["clamp_height_seen_error_mm"] > 1.7
+    assert told["clamp_height_mm"] is None and told["clamp_height_seen_mm"] is None
     config = load_config(SHIPPED / "config.json")
     assert f"floors other than {', '.join(sorted(config.render.floors))};" in page
     fabrics = load_instrument(SHIPPED).card["materials"]

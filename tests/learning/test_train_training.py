@@ -3,13 +3,14 @@
 import csv
 import math
 import shutil
-import zipfile
 from collections import Counter
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 import torch
+from safetensors import safe_open
+from safetensors.torch import save_file
 from support import synthetic_videos
 from support.refusal import refused, run
 
@@ -19,9 +20,9 @@ from slipstitch.config import write_config
 from slipstitch.config.train import TrainSettings
 from slipstitch.dataset.videos import read_videos
 from slipstitch.learning import lrcn_training
+from slipstitch.learning.checkpoint import CHECKPOINT
 from slipstitch.learning.lrcn import load_model
 from slipstitch.learning.lrcn_training import train_network
-from slipstitch.learning.model_file import CHECKPOINT
 from slipstitch.learning.schedule import Phase, learning_rate, place, progressive_schedule
 from slipstitch.learning.trainer import DivergedError, PlateauError, Run
 
@@ -242,18 +243,26 @@ def test_a_checkpoint_of_another_training_is_not_used(
     assert "from another training" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("part", ["notes", "weights", "end", "all"])
-def test_a_damaged_checkpoint_is_said_and_not_used(dataset, checkpoint, tmp_path, capsys, part):
-    content = bytearray(checkpoint.read_bytes())
-    with zipfile.ZipFile(checkpoint) as file:
-        parts = [file.read(name) for name in file.namelist()]
-    if part == "notes":
-        content[content.index(b'"seed": 0')] ^= 1
-    elif part == "weights":
-        content[content.index(max(parts, key=len)) + 1] ^= 1
+@pytest.mark.parametrize("part", ["progress", "identity", "weights", "shape", "all"])
+def test_a_checkpoint_altered_in_any_part_is_said_and_not_used(
+    dataset, checkpoint, tmp_path, capsys, part
+):
     path = tmp_path / CHECKPOINT
-    path.write_bytes({"end": content[:-9], "all": b"no checkpoint"}.get(part, content))
-    assert begins_at(dataset, tmp_path) == 1
+    with safe_open(checkpoint, "pt") as file:
+        notes = file.metadata()
+        tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    if part == "weights":
+        tensors["network.fully_connected.3.bias"][0] += 1
+    elif part == "shape":
+        tensors["random"] = tensors["random"][None]
+    elif part != "all":
+        edited = {"progress": ('"step": 2', '"step": 1'), "identity": ('"seed": 0', '"seed": 1')}
+        assert edited[part][0] in notes[part]
+        notes[part] = notes[part].replace(*edited[part])
+    save_file(tensors, path, notes)
+    if part == "all":
+        path.write_bytes(b"no checkpoint")
+    assert begins_at(dataset, tmp_path, seed=int(part == "identity")) == 1
     assert "no readable checkpoint; starting from scratch" in capsys.readouterr().err
 
 

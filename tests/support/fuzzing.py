@@ -45,10 +45,10 @@ from slipstitch.images.camera import pose
 from slipstitch.images.camera_file import read_camera_file
 from slipstitch.images.image_shards import decode_image, read_images
 from slipstitch.images.textures import _read as read_texture
+from slipstitch.learning.checkpoint import Progress, load_checkpoint, save_checkpoint
 from slipstitch.learning.evaluation.trained import Trained
 from slipstitch.learning.instrument.measuring import load_instrument, save_instrument
 from slipstitch.learning.lrcn import LRCN, load_model, save_model
-from slipstitch.learning.model_file import Progress, load_checkpoint, save_checkpoint
 from slipstitch.physics.calibration.calibration import read_sweeps
 from slipstitch.physics.calibration.sweep import sweep_inputs, variations
 from slipstitch.physics.friction_law.extended_model import read_extended_model
@@ -227,7 +227,7 @@ def _networks(config, folder: Path) -> Found:
     yield "model card", models / "model.json", lambda: load_model(models)
     yield "models of a folder", models / "model.json", lambda: Trained(folder / "models").load()
     optimizer = torch.optim.Adadelta(network.parameters())
-    path = folder / "checkpoint.pt"
+    path = folder / "checkpoint.safetensors"
     save_checkpoint(path, {"a": 1}, Progress(), network, optimizer, start_clock())
     yield "checkpoint", path, lambda: load_checkpoint(path, {"a": 1}, network, optimizer)
 

@@ -185,9 +185,13 @@ def kill_and_resume(
 
 
 def start(workflow: Workflow, words: list[str]) -> subprocess.Popen:
+    """Start a command that an interrupt stops, also where those of the tests are ignored."""
     silent = dict.fromkeys(("stdout", "stderr"), subprocess.DEVNULL)
     where = {"cwd": workflow.folder, "env": workflow.environment()}
-    return subprocess.Popen(words, **where, **silent, start_new_session=True)
+    return subprocess.Popen(
+        words, **where, **silent, start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
+    )  # fmt: skip
 
 
 def start_until_a_job_runs(workflow: Workflow, words: list[str]) -> subprocess.Popen:

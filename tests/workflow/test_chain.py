@@ -217,7 +217,7 @@ def fabrics_file(chain) -> str:
     ("old", "new"),
     [
         ("vertices per side of the 20 cm square", "vertices along one side"),
-        ("in the configured grid, e.g. m05", "of the configured grid, e.g. m05"),
+        ("id in the configured grid: m05", "id of the configured grid: m05"),
         ('    "side": Viewpoint(', '    "new": Viewpoint(1.0, 2.0, 3.0),\n    "side": Viewpoint('),
         ('    "ceramic": Floor(', '    "new": Floor((0.1, 0.2)),\n    "ceramic": Floor('),
     ],

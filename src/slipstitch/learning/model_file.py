@@ -1,27 +1,15 @@
-"""Networks on disk: trained ones, and checkpoints to resume a training with identical results.
-
-Weights are safetensors, model cards JSON, checkpoints of torch: reading one cannot run anything.
-"""
+"""Trained networks on disk: weights as safetensors, model cards as JSON."""
 
 import json
-import zipfile
-from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
 import torch
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
-from torch import nn
 
 from slipstitch.base.errors import BadInput, Damaged
-from slipstitch.base.provenance import (
-    atomic_path,
-    count_earlier_attempts,
-    file_digest,
-    start_clock,
-    write_json,
-)
+from slipstitch.base.provenance import atomic_path, file_digest, write_json
 
 
 def write_weights(
@@ -67,66 +55,3 @@ def read_weights(
     if inside != {key: value for key, value in card.items() if key != "weights_sha256"}:
         raise Damaged(card_path, f"altered: differs from the card inside {weights.name}")
     return tensors, card
-
-
-CHECKPOINT = "checkpoint.pt"
-
-
-@dataclass
-class Progress:
-    """Progress of a training: finished epochs, steps of the current one and its sums."""
-
-    epoch: int = 0
-    step: int = 0
-    # losses and other columns of the history, summed over the current epoch's videos so far
-    sums: dict[str, float] = field(default_factory=dict)
-    history: list[dict[str, Any]] = field(default_factory=list)  # one row per finished epoch
-
-
-def save_checkpoint(
-    path: Path,
-    identity: dict[str, Any],
-    progress: Progress,
-    network: nn.Module,
-    optimizer: torch.optim.Optimizer,
-    started: tuple[float, float],
-) -> None:
-    """Write everything of the training that `identity` names, with the time since `started`."""
-    state = {
-        "identity": json.dumps(identity, sort_keys=True),
-        "progress": asdict(progress),
-        "taken_s": [now - then for now, then in zip(start_clock(), started, strict=True)],
-        "network": network.state_dict(),
-        "optimizer": optimizer.state_dict(),
-        "random": torch.get_rng_state(),
-    }
-    with atomic_path(path) as temporary:
-        torch.save(state, temporary)
-
-
-def load_checkpoint(
-    path: Path, identity: dict[str, Any], network: nn.Module, optimizer: torch.optim.Optimizer
-) -> tuple[Progress | None, str]:
-    """Put a training back where a checkpoint left it, and count the time that it took until then.
-
-    Returns the progress, None if there is nothing to go on from, and what is to be shown.
-    """
-    if not path.is_file():
-        return None, ""
-    try:
-        # A flipped bit must restart a training, not distort it; torch does not look for one.
-        with zipfile.ZipFile(path) as file:
-            if file.testzip() is not None:
-                raise ValueError("damaged")
-        state = torch.load(path, weights_only=True)  # data alone
-        progress, (wall_s, cpu_s) = Progress(**state["progress"]), state["taken_s"]
-    except Exception:  # whatever a damaged file makes of both readers
-        return None, f"{path}: no readable checkpoint; starting from scratch"
-    if state["identity"] != json.dumps(identity, sort_keys=True):
-        what = "from another training (data, settings or code differ)"
-        return None, f"{path}: {what}; starting from scratch"
-    network.load_state_dict(state["network"])
-    optimizer.load_state_dict(state["optimizer"])
-    torch.set_rng_state(state["random"])
-    count_earlier_attempts(wall_s, cpu_s)
-    return progress, f"continuing from {path}: epoch {progress.epoch + 1}, step {progress.step + 1}"

@@ -24,7 +24,7 @@ from slipstitch.base.provenance import atomic_path, code_digest, provenance_reco
 from slipstitch.config.train import split_of
 from slipstitch.dataset.manifest import MANIFEST
 from slipstitch.dataset.videos import Videos, read_videos, takes_part
-from slipstitch.learning.model_file import CHECKPOINT, Progress, load_checkpoint, save_checkpoint
+from slipstitch.learning.checkpoint import CHECKPOINT, Progress, load_checkpoint, save_checkpoint
 from slipstitch.learning.schedule import Phase, place
 
 HISTORY = "history.csv"
