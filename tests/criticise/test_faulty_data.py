@@ -102,7 +102,7 @@ def with_frames(folder, spoil):
 @pytest.mark.slow
 def test_a_stage_that_starts_late_and_turns_early_is_said_and_nothing_blamed(tmp_path):
     def spoil(frames):
-        frames["x_stage_mm"] += 1.2
+        frames["x_stage_mm"] += 2.4
         frames.loc[frames["phase"] == "rev", "te_x_mm"] -= 2.0
 
     analysis = with_frames(tmp_path, spoil)
