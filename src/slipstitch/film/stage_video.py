@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from slipstitch.base.errors import BadInput
-from slipstitch.film.edge_height import EdgeHeight
+from slipstitch.film.edge_height import EdgeFinder
 from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.recording import FrameIndex, Recording
 from slipstitch.film.stage_clock import (
@@ -49,7 +49,7 @@ class StageVideo:
     # pose of the camera relative to that viewpoint, see `slipstitch.images.camera.POSE`
     pose: dict[str, float]
     inside: np.ndarray  # (n,): share of each image that the real camera saw
-    edge: EdgeHeight | None  # height of the lowered clamps; None if it was not seen
+    edge: EdgeFinder | None  # tells the height of the lowered clamps; None if not followed
     # what a person should know before trusting the result
     notes: list[str] = field(default_factory=list)
 
@@ -114,7 +114,7 @@ def read_stage_video(
         view_angle_deg=_view_angle_deg(lens, schedule),
         pose=relative_pose(lens.pose, schedule.pose),
         inside=inside,
-        edge=follower.edge.found() if follower else None,
+        edge=follower.edge if follower else None,
         notes=notes,
     )
     video.notes.extend(_notes(video, schedule, corrected=rate != 1.0))

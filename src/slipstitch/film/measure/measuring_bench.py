@@ -212,11 +212,9 @@ class MeasuringBench:
         grid, probability = map(np.asarray, measured.distribution)
         factor = self.instrument.conformal_scale
         uncertainty = _half_width(grid, probability) * (factor if math.isfinite(factor) else 1.0)
-        seen = video.edge and SeenClamps(
-            video.edge.height_m,
-            video.edge.error_m,
-            self.height_error_m,
-            self.schedule.path.lowered_height_m,
+        edge = video.edge and video.edge.found()
+        seen = edge and SeenClamps(
+            edge.height_m, edge.error_m, self.height_error_m, self.schedule.path.lowered_height_m
         )
         clamps = self.clamps or (seen.measured() if seen and self.is_shipped else None)
         if clamps:
