@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from slipstitch.criticise.protocols.protocol import GAP
+
 DEPARTURE_NOISES = 4.0
 TEXTURE_ROUNDS = 4
 FEWEST_OF_FALL = 5
 # Of the way left after the slip, which the force takes to settle.
 SETTLED_SHARE = 0.1
-# Samples further apart, in medians of their distance, hide what happened between them.
-GAP = 2.5
 # Places at which the start of a fall is tried.
 FALL_PLACES = 201
 # Relative error of a slope that is not seen: of the nominal spring, and of the cell's gain.

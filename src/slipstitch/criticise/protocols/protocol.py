@@ -56,6 +56,8 @@ def azimuth(name: str) -> Column:
 
 
 ANGLE_DEG = (-360.0, 360.0)
+# Samples of a trace further apart, in medians of their distance, hide what happened between them.
+GAP = 2.5
 # Of every table of runs.
 RUN_COLUMNS = (
     text("run_id", may_be_empty=False),

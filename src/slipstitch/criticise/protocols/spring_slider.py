@@ -27,8 +27,6 @@ STICKING_FRACTION = 0.5
 # Of the line of the loading spring: below it, the slider has moved before its first drop.
 UNMOVED_FRACTION = 0.95
 SPIKE_SAMPLES = 5
-# Samples further apart, in medians of their distance, hide what happened between them.
-GAP = 2.5
 SMOOTHINGS_A_PERIOD = 8
 MOST_BLOCKS = 10
 SYNTHETIC_TRACES = 4
@@ -127,7 +125,7 @@ def slips_of_trace(trace: pd.DataFrame, slider: Slider, u_mN: float) -> Slips:
     Nor of what a gap hides that is longer than what is smoothed over.
     """
     steps = np.diff(trace["t_s"].to_numpy(float), prepend=trace["t_s"].iloc[0])
-    hides = max(GAP * np.median(steps), slider.period_s / SMOOTHINGS_A_PERIOD)
+    hides = max(protocol.GAP * np.median(steps), slider.period_s / SMOOTHINGS_A_PERIOD)
     recording = trace["recording"].to_numpy() if "recording" in trace else np.zeros(len(trace))
     new = (np.diff(recording, prepend=recording[0]) != 0) | (steps > hides)
     parts = trace.groupby(np.cumsum(new), sort=False)
