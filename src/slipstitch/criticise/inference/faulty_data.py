@@ -38,9 +38,10 @@ ROUNDS = 6
 LOG_NOISE_SD = 0.6
 # An effect whose columns stand out like this does not count as scatter; so many at most.
 STANDS_OUT, MOST_EFFECTS = 1e-3, 2
-# It must stand out without the runs that speak for it most: of 40 runs, 5 % are two. From seeds
-# 300009 and 300047 to 300049 of the benchmark, null data with patches around one far run.
-FAR_TOGETHER = 2
+# The other runs must agree without those that speak for it most (of 40 runs, 5 % are two), though
+# less clearly. Patches around one far run: seeds 300009 and 300047 to 300049 of the benchmark, null
+# data; effects that two of eight runs carry for the most part: 9312, 300013, 300029.
+FAR_TOGETHER, OTHERS_AGREE = 2, 0.2
 FEWEST_RUNS = 5
 # Twice the gain in log-likelihood of a finding: chi squared of one degree at p = .001.
 CLEAR_RATIO = 10.8
@@ -196,7 +197,7 @@ class _Tails:
         return precision - taken @ np.linalg.pinv(core, hermitian=True) @ taken.T
 
     def _outstanding(self, precision: np.ndarray) -> np.ndarray | None:
-        """The alternative's columns that stand out most, if they do without any two runs."""
+        """The alternative's columns that stand out most and that other runs agree with."""
         pulled, limit, found = precision @ self._residual, -np.log10(STANDS_OUT), []
 
         def evidence(columns: np.ndarray, taken: np.ndarray) -> tuple[float, np.ndarray]:
@@ -218,7 +219,7 @@ class _Tails:
             gains = np.bincount(self._run, effect * pulled)
             others = ~np.isin(self._run, np.argsort(-gains)[:FAR_TOGETHER])
             kept = columns * others[:, None]
-            if evidence(kept, precision @ kept)[0] > limit:
+            if evidence(kept, precision @ kept)[0] > -np.log10(OTHERS_AGREE):
                 return columns
         return None
 
