@@ -205,7 +205,10 @@ class _Tails:
             gram, score = columns.T @ taken, columns.T @ pulled
             if gram[0, 0] <= 1e-9:
                 return 0.0, np.zeros(len(pulled))
-            sizes = np.linalg.pinv(gram, 1e-6, hermitian=True) @ score
+            # Most have one column: a pseudo-inverse each takes a tenth of the time.
+            one = len(gram) == 1
+            inverse = 1.0 / gram if one else np.linalg.pinv(gram, 1e-6, hermitian=True)
+            sizes = inverse @ score
             return float(minus_log10_p(score @ sizes, columns.shape[1])), columns @ sizes
 
         ends = np.cumsum([0, *(columns.shape[1] for columns in self._tested)])

@@ -215,16 +215,16 @@ def log_likelihood(clusters: Clusters, scatter: Scatter, fixed: int, restricted:
 
     ``restricted``: the free columns are integrated out (REML), not maximised over.
     """
-    gram = clusters.gram(scatter)
-    own, score = gram[:-1, :-1], gram[:-1, -1]
-    value = clusters.log_determinant(scatter) + gram[-1, -1]
-    if len(own):
-        own = own + np.diag(np.where(np.arange(len(own)) < fixed, 0.0, 1.0))
-        own[np.diag_indices_from(own)] *= 1.0 + 1e-10
-        value -= score @ np.linalg.solve(own, score)
-        integrated = own if restricted else own[fixed:, fixed:]
-        value += np.linalg.slogdet(integrated)[1]
-    return float(-0.5 * value)
+    # One factor holds all: its squared diagonal is what each column adds to those before it.
+    last = clusters.columns.shape[1] - 1
+    order = np.r_[fixed:last, :fixed, last]
+    gram = clusters.gram(scatter)[np.ix_(order, order)]
+    random = np.arange(last + 1) < last - fixed
+    gram[np.diag_indices_from(gram)] += random
+    gram[np.diag_indices(last)] *= 1.0 + 1e-10
+    added = np.linalg.cholesky(gram).diagonal() ** 2
+    integrated = added[:last] if restricted else added[: last - fixed]
+    return float(-0.5 * (clusters.log_determinant(scatter) + np.log(integrated).sum() + added[-1]))
 
 
 def estimate_scatter(
