@@ -60,19 +60,21 @@ def discrepancy(folder, seed, planted):
 @pytest.mark.parametrize("name", PLANTED)
 def test_a_law_outside_the_library_is_found_with_its_curve_in_its_band(name, tmp_path):
     covariate, law, _ = PLANTED[name]
-    m, state, found = discrepancy(tmp_path, SEED, PLANTED[name])
-    assert found["covariate"] == covariate
-    assert found["tried"][covariate] < 0.01
-    assert found["misfit_share"] > 0.3
-    at = m.rows[covariate].to_numpy(float)
-    mean = np.log(law(at[np.isfinite(at) & state.keep])).mean()
-    true = np.log(law(np.array(found["knots"]))) - mean
-    low, high = np.log(found["ci95"]).T
-    inside = (low <= true) & (true <= high)
-    assert inside.mean() > 0.85  # of pointwise 95 % bands
-    slack = 0.25 * (high - low)
-    assert ((low - slack <= true) & (true <= high + slack)).all()
-    assert np.ptp(true) > 2 * np.median(high - low)  # and a band that says something
+    inside = []
+    for seed in (SEED, SEED + 1):  # knots of one curve are right or wrong together
+        m, state, found = discrepancy(tmp_path / str(seed), seed, PLANTED[name])
+        assert found["covariate"] == covariate
+        assert found["tried"][covariate] < 0.01
+        assert found["misfit_share"] > 0.3
+        at = m.rows[covariate].to_numpy(float)
+        mean = np.log(law(at[np.isfinite(at) & state.keep])).mean()
+        true = np.log(law(np.array(found["knots"]))) - mean
+        low, high = np.log(found["ci95"]).T
+        inside.append(np.mean((low <= true) & (true <= high)))
+        slack = 0.25 * (high - low)
+        assert ((low - slack <= true) & (true <= high + slack)).all()
+        assert np.ptp(true) > 2 * np.median(high - low)  # and a band that says something
+    assert np.mean(inside) > 0.85  # of pointwise 95 % bands
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3, 4, 5])
