@@ -14,6 +14,9 @@ import pandas as pd
 
 FEWEST_RUNS = 4
 MOST_PARTS, MOST_CYCLES = 16, 20.0
+# A session is cut between so many stretches of equally many runs, in case it changed for good
+# there (benchmark seeds 320071 and 320072).
+STRETCHES = 48
 
 
 @dataclass(frozen=True)
@@ -25,7 +28,8 @@ class Covariate:
     name : the column; empty cells (NaN, or '' of a text) were not recorded.
     title, unit : as they are drawn and said.
     sought : shapes that are looked for: trends (a trend, a bow and an S-shaped curve), bumps at
-        every place, patches with sharp edges of every width, cycles of several periods.
+        every place, patches with sharp edges of every width, changes for good, cycles of several
+        periods.
     logarithmic : drawn, and searched, along its logarithm.
     from_zero : its logarithm is that of 1 + value, since it may be zero.
     waves : orders of the waves that are looked for in an angle.
@@ -72,7 +76,7 @@ _TRENDS, _BUMPS = ("trends",), ("trends", "bumps")
 _EVERY = ("trends", "bumps", "patches", "cycles")
 _ENTRIES = (
     Covariate("pos_x_mm", "position on the substrate", "mm", _EVERY),
-    Covariate("clock_min", "time in the session", "min", _EVERY),
+    Covariate("clock_min", "time in the session", "min", (*_EVERY, "changes")),
     Covariate("rh_pct", "relative humidity", "%", _BUMPS),
     Covariate("repeat_index", "earlier slides", "", _TRENDS),
     Covariate("dwell_s", "rest before the pull", "s", _BUMPS, logarithmic=True, from_zero=True),
@@ -182,6 +186,8 @@ def _along(rows, covariate: Covariate, usable) -> list[Shape]:
                         shapes.append(Shape(name, form, bump[:, None], scanned=True))
         if "patches" in covariate.sought:
             shapes += _patches(covariate, z, known, usable, runs, low, high)
+        if "changes" in covariate.sought:
+            shapes += _changes(covariate, values, known, usable, runs)
     elif len(levels) == 3:
         step = np.where(known, values == levels[1], 0.0).astype(float)
         form = f"a bump at {covariate.plain(levels[1])}"
@@ -205,6 +211,20 @@ def _patches(covariate: Covariate, z, known, usable, runs, low, high) -> list[Sh
             break
         shapes += found
         parts *= 2
+    return shapes
+
+
+def _changes(covariate: Covariate, values, known, usable, runs) -> list[Shape]:
+    """Changes for good, between stretches of equally many runs."""
+    _, first = np.unique(runs[known & usable], return_index=True)
+    of_runs = np.sort(values[known & usable][first])
+    shapes = []
+    for after in np.unique(np.arange(1, STRETCHES) * len(of_runs) // STRETCHES):
+        if FEWEST_RUNS <= after <= len(of_runs) - FEWEST_RUNS:
+            at = 0.5 * (of_runs[after - 1] + of_runs[after])
+            later = np.where(known & (values > at), 1.0, 0.0)
+            form = f"a change for good at {covariate.plain(at)}"
+            shapes.append(Shape(covariate.name, form, later[:, None], scanned=True))
     return shapes
 
 
