@@ -9,6 +9,7 @@ import pytest
 from slipstitch.base.page.wording import number, percent, seeds_in_words
 from slipstitch.learning.evaluation.metrics import (
     FIELDS,
+    covered,
     entry,
     friction_scores,
     mean_over_seeds,
@@ -21,26 +22,19 @@ GRID = np.arange(16) * 0.1
 
 
 def test_on_the_papers_grid_below_0_1_is_the_class_and_below_0_2_a_neighbour_at_most():
-    for true in range(16):
-        off = steps_off(GRID, np.full(16, GRID[true]))
-        assert off.tolist() == [abs(true - predicted) for predicted in range(16)]
-
-
-def test_friction_scores_of_known_answers():
-    truth = np.array([0, 5, 5, 10])
-    scores = friction_scores(GRID[[0, 6, 8, 10]], GRID[truth])
-    assert scores == {
-        "friction_lt_0.1": 0.5,
-        "friction_lt_0.2": 0.75,
-        "mean_absolute_error": pytest.approx(0.1),
-    }
+    off = [steps_off(GRID, np.full(16, true)).tolist() for true in GRID]
+    assert off == [[abs(true - predicted) for predicted in range(16)] for true in range(16)]
+    truth = GRID[[0, 5, 5, 10]]
+    found = friction_scores(GRID[[0, 6, 8, 10]], truth)
+    error = pytest.approx(0.1)
+    assert found == {"friction_lt_0.1": 0.5, "friction_lt_0.2": 0.75, "mean_absolute_error": error}
     # A coarse grid counts only the exact class.
     coefficients = np.array([0.1, 0.3, 0.6])
-    scores = friction_scores(coefficients, coefficients[[0, 0, 2]])
-    assert scores["friction_lt_0.1"] == scores["friction_lt_0.2"] == pytest.approx(2 / 3)
+    found = friction_scores(coefficients, coefficients[[0, 0, 2]])
+    assert found["friction_lt_0.1"] == found["friction_lt_0.2"] == pytest.approx(2 / 3)
 
 
-def table(network, true, predicted, fabrics=(), **columns):
+def table(network, true, predicted, fabrics=()):
     """Rows of a table of predictions of one seed, their ids being letters."""
     return [
         {
@@ -50,7 +44,6 @@ def table(network, true, predicted, fabrics=(), **columns):
             **{"true": one, "predicted": other, "material": one},
             **{"true_value": VALUES.get(one), "predicted_value": VALUES.get(other)},
             "fabrics": list(fabrics[k]) if fabrics else [],
-            **{name: of[k] for name, of in columns.items()},
         }
         for k, (one, other) in enumerate(zip(true, predicted, strict=True))
     ]
@@ -61,11 +54,8 @@ CLASSES = [{"id": name, "value": value} for name, value in VALUES.items()]
 
 
 def test_top_1_and_top_2_count_the_fabrics_from_the_likeliest_on():
-    rows = table("material_baseline", "abc", "aca", ["abc", "cba", "abc"])
-    assert scores(rows) == {
-        "material_top1": pytest.approx(1 / 3),
-        "material_top2": pytest.approx(2 / 3),
-    }
+    found = scores(table("material_baseline", "abc", "aca", ["abc", "cba", "abc"]))
+    assert found == {"material_top1": pytest.approx(1 / 3), "material_top2": pytest.approx(2 / 3)}
     assert scores(table("material_baseline", "abd", "aca", ["abc", "cba", "abc"])) == {}
 
 
@@ -92,11 +82,13 @@ def test_a_table_gives_an_entry_with_every_field_and_null_where_nothing_is_known
     assert (one["n"], one["seeds"], one["coverage_90"]) == (2, [0], None)
 
 
-def test_seeds_give_a_mean_and_their_standard_deviation():
+def test_seeds_give_a_mean_and_a_spread_and_every_simulation_counts_once():
     seeds = [{"right": 0.5, "fabric": 0.1}, {"right": 0.7}, {"right": 0.9}]
     assert mean_over_seeds(seeds) == {"right": pytest.approx(0.7)}
     assert spread_over_seeds(seeds) == {"right": pytest.approx(0.2)}
     assert spread_over_seeds(seeds[:1]) is None
+    truth = np.array([0.5, 0.5, 0.5, 0.5, 2.0])
+    assert covered(np.zeros(5), np.ones(5), truth, ["a"] * 4 + ["b"]) == (0.5, 0.5)
 
 
 def test_a_score_is_written_with_its_spread_and_nothing_with_a_dash():

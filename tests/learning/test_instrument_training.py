@@ -44,23 +44,9 @@ SETTINGS = InstrumentSettings(
 )
 
 
-@pytest.fixture(scope="module")
-def dataset(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("dataset")
-    return synthetic_videos.write_dataset(CONFIG, folder)
-
-
-def train(dataset, out, split="by_simulation", seed=0, frames=6, after_step=None, **changes):
-    settings = SETTINGS.model_copy(update=changes)
-    run = Run(dataset, split, seed, out, frames, after_step=after_step)
-    return train_instrument(settings, run, ["calibrated"])
-
-
-@pytest.fixture(scope="module")
-def marked(tmp_path_factory):
-    """The same dataset with the places of points of the cloth."""
-    folder = tmp_path_factory.mktemp("marked")
-    return synthetic_videos.write_dataset(CONFIG, folder, marked=True)
+def train(dataset, out, frames=6, **changes):
+    run = Run(dataset, "by_simulation", 0, out, frames)
+    return train_instrument(SETTINGS.model_copy(update=changes), run, ["calibrated"])
 
 
 @pytest.fixture(scope="module")
@@ -107,53 +93,26 @@ def test_it_measures_new_simulations_and_raises_its_alarm_for_other_videos(folde
 
 
 @pytest.mark.slow
-def test_places_of_the_cloth_are_learnt_and_friction_read_from_them_alone(marked, tests, tmp_path):
+def test_places_of_the_cloth_are_learnt_and_friction_read_from_them_alone(tests, tmp_path):
+    marked = synthetic_videos.write_dataset(CONFIG, tmp_path, marked=True)
     train(marked, tmp_path, points_weight=1.0, through_points=True, epochs=80)
     history = list(csv.DictReader((tmp_path / "history.csv").open()))
-    videos, frames = tests
     instrument = load_instrument(tmp_path)
     # On simulations that did not train, beside the mean distance from a constant place.
     off_m = float(history[-1]["validation_points"]) * KEYPOINT_ERROR_M
     assert off_m < 0.3 * float(instrument.networks[0].points_spread_m.mean())
-    errors, constant = errors_of(instrument, videos, frames)
+    errors, constant = errors_of(instrument, *tests)
     assert errors.mean() < 0.5 * constant
 
 
 def test_the_learning_curve_falls_and_is_kept(folder):
-    with open(folder / "history.csv", newline="") as stream:
-        rows = list(csv.DictReader(stream))
+    rows = list(csv.DictReader((folder / "history.csv").open()))
     assert [int(row["epoch"]) for row in rows] == list(range(1, 41))
     assert float(rows[-1]["train_loss"]) < 0.4 * float(rows[0]["chance_loss"])
     card = load_instrument(folder).card
     assert card["train_loss"] == float(rows[-1]["train_loss"])
     assert card["training_simulations"] == 18
     assert card["calibration_simulations"] == 12
-
-
-FEW = {"epochs": 2, "plateau_margin": None, "checkpoint_interval_s": 0.0}
-
-
-@pytest.fixture(scope="module")
-def undisturbed(dataset, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("undisturbed")
-    train(dataset, folder, **FEW)
-    return folder
-
-
-@pytest.mark.default_cases(1)
-@pytest.mark.parametrize("steps", [1, 5, 9])
-def test_a_killed_training_goes_on_to_the_same_bits(dataset, undisturbed, tmp_path, steps):
-    left = iter(range(steps - 1, -1, -1))
-
-    def kill(progress):
-        if not next(left):
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        train(dataset, tmp_path, after_step=kill, **FEW)
-    train(dataset, tmp_path, **FEW)
-    for name in ("instrument.safetensors", "history.csv"):
-        assert (undisturbed / name).read_bytes() == (tmp_path / name).read_bytes(), name
 
 
 @pytest.mark.parametrize(
@@ -206,13 +165,10 @@ def test_what_cannot_be_learnt_stops_the_command_with_one_line(
     assert not (tmp_path / "out" / "instrument.safetensors").exists()
 
 
-def test_chance_is_the_score_of_the_labels_distribution():
+def test_chance_is_the_score_of_the_labels_distribution_and_a_median_a_point_of_the_grid():
     # Uniform in [0, 1]: mean distance 1/3, so 1/6.
     assert chance_score(np.linspace(0, 1, 401)) == pytest.approx(1 / 6, rel=0.01)
-
-
-def test_the_reported_median_is_a_point_of_the_grid_not_the_middle_above_it():
-    """Two videos, one in order: the network is sure of 0.75, which is true."""
+    # Two videos, one in order: the network is sure of 0.75, which is true.
     grid = torch.arange(151) / 100
     sure = torch.tensor([[[0.0], [0.75], [-7.0]]])
     said = {"friction": sure, "material": torch.zeros(1, 2), "order": torch.zeros(2)}
@@ -300,17 +256,13 @@ def test_a_millimetre_is_as_wrong_at_every_point():
     assert off.numpy() == pytest.approx(0.001 / KEYPOINT_ERROR_M)
 
 
-def test_frames_are_drawn_at_any_phase_of_the_first_interval():
+def test_frames_are_drawn_at_any_phase_of_the_first_interval_and_disordered_ones_in_none():
     videos = np.arange(12, dtype=np.uint8)[None, :, None, None, None].repeat(50, axis=0)
     taken = phased(videos, 4, np.random.default_rng(0))[..., 0, 0, 0]
     assert {tuple(row) for row in taken.tolist()} == {(k, k + 3, k + 6, k + 9) for k in range(3)}
     assert phased(videos, 4, None)[7, :, 0, 0, 0].tolist() == [0, 3, 6, 9]
-
-
-def test_disorder_is_never_the_order():
-    video = np.arange(8)[:, None, None, None]
     for seed in range(30):
-        assert not np.array_equal(disordered(video, np.random.default_rng(seed)), video)
+        assert not np.array_equal(disordered(videos[0], np.random.default_rng(seed)), videos[0])
 
 
 def test_the_curve_in_the_terminal_falls_as_the_loss_does():

@@ -32,17 +32,9 @@ def frames(videos=2, count=5, pixels=16):
 
 
 # Table 1 at 224 pixels, borders padded: a row a layer that has weights or pools, with its output.
-TABLE_1 = [
-    ("conv1a", 64, 224),
-    ("conv1b", 64, 224),
-    ("maxpool1", 64, 112),
-    ("conv2a", 128, 112),
-    ("conv2b", 128, 112),
-    ("maxpool2", 128, 56),
-    ("conv3a", 256, 56),
-    ("maxpool3", 256, 28),
-    ("conv4a", 512, 28),
-]
+POOLINGS = (2, 5, 7)  # the others are conv1a, conv1b, conv2a, conv2b, conv3a, conv4a
+CHANNELS = (64, 64, 64, 128, 128, 128, 256, 256, 512)
+SIDES = (224, 224, 112, 112, 112, 56, 56, 28, 28)
 
 
 def full_width():
@@ -51,25 +43,19 @@ def full_width():
         return LRCN(TrainSettings(width=1.0, initialisation="pytorch"), 16, 224, 10)
 
 
-def convolutions_and_poolings(net) -> list[nn.Module]:
-    return [
-        layer for layer in net.convolutions.modules() if isinstance(layer, nn.Conv2d | nn.MaxPool2d)
-    ]
-
-
 def test_its_convolutions_and_poolings_are_those_of_table_1():
-    net = full_width()
-    layers = convolutions_and_poolings(net)
-    found = []
+    net, found = full_width(), []
+    kinds = nn.Conv2d | nn.MaxPool2d
+    layers = [layer for layer in net.convolutions.modules() if isinstance(layer, kinds)]
     for layer in layers:
         layer.register_forward_hook(lambda layer, inputs, output: found.append(output.shape[1:]))
     net.convolutions(torch.zeros(1, 3, 224, 224, device="meta"))
-    assert found == [(channels, side, side) for _, channels, side in TABLE_1]
-    for layer, (name, _, _) in zip(layers, TABLE_1, strict=True):
-        pools = name.startswith("maxpool")
-        assert isinstance(layer, nn.MaxPool2d if pools else nn.Conv2d), name
+    assert found == list(zip(CHANNELS, SIDES, SIDES, strict=True))
+    for number, layer in enumerate(layers):
+        pools = number in POOLINGS
+        assert isinstance(layer, nn.MaxPool2d if pools else nn.Conv2d), number
         size = (layer.kernel_size, layer.stride)
-        assert size == ((3, 2) if pools else ((3, 3), (1, 1))), name
+        assert size == ((3, 2) if pools else ((3, 3), (1, 1))), number
     rectifiers = [layer for layer in net.convolutions.modules() if isinstance(layer, nn.ReLU)]
     assert len(rectifiers) == 6
 
@@ -127,18 +113,13 @@ def test_every_size_and_initialisation_gives_probabilities(changes):
     assert probabilities.sum(1) == pytest.approx(1.0)
 
 
-def test_the_answer_depends_on_the_order_of_the_frames_and_on_no_neighbour_in_the_batch():
+def test_the_answer_depends_on_frames_order_and_condition_and_on_no_neighbour_in_the_batch():
     net = network().eval()
     video = frames(3, count=8)
     assert not torch.allclose(net(video), net(video.flip(1)))
     assert torch.allclose(net(video)[1:2], net(video[1:2]), atol=1e-5)
-
-
-def test_the_condition_reaches_the_answer():
-    net = network(condition_classes=3).eval()
-    video = frames()
-    first = net(video, torch.tensor([0, 0]))
-    second = net(video, torch.tensor([0, 2]))
+    net, video = network(condition_classes=3).eval(), frames()
+    first, second = (net(video, torch.tensor([0, other])) for other in (0, 2))
     assert torch.equal(first[0], second[0]) and not torch.allclose(first[1], second[1])
 
 

@@ -31,14 +31,6 @@ CONFIG = synthetic_videos.config(
 )
 
 
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("training")
-    synthetic_videos.write_dataset(CONFIG, folder)
-    write_config(CONFIG, folder / "config.json")
-    return folder
-
-
 def command(folder: Path, verb: str, out: Path) -> list[str]:
     """The words of a training."""
     words = [verb, "--config", str(folder / "config.json"), "--dataset", str(folder / "sample")]
@@ -76,18 +68,15 @@ def killed_in_mid_epoch(words: list[str], checkpoint: Path) -> None:
     assert process.wait() == -signal.SIGKILL, "it had ended before it could be killed"
 
 
-@pytest.mark.parametrize(
-    ("verb", "files"),
-    [
-        ("train", ("model.safetensors", "model.json", "history.csv")),
-        ("instrument", ("instrument.safetensors", "instrument.json", "history.csv")),
-    ],
-)
+@pytest.mark.parametrize(("verb", "model"), [("train", "model"), ("instrument", "instrument")])
 def test_kill_9_and_the_same_command_again_give_the_bits_of_an_undisturbed_run(
-    folder, capsys, monkeypatch, verb, files
+    tmp_path, capsys, monkeypatch, verb, model
 ):
     """And the cost of both attempts: at the end of the job's log, and in the records."""
-    out, undisturbed = folder / f"{verb} killed", folder / f"{verb} undisturbed"
+    folder, files = tmp_path, (f"{model}.safetensors", f"{model}.json", "history.csv")
+    synthetic_videos.write_dataset(CONFIG, folder)
+    write_config(CONFIG, folder / "config.json")
+    out, undisturbed = folder / "killed", folder / "undisturbed"
     words = command(folder, verb, out)
     killed_in_mid_epoch(words, out / CHECKPOINT)
     assert not (out / files[0]).exists()

@@ -5,7 +5,6 @@ Cycles of the training add a viewpoint each; the calibrated viewpoint alone is f
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import compress
 from pathlib import Path
 from typing import Any
@@ -29,39 +28,79 @@ from slipstitch.learning.lrcn import (
     save_model,
 )
 from slipstitch.learning.prediction import chance_loss, classes_of, labels_of
-from slipstitch.learning.schedule import FINE_TUNING, Phase, learning_rate, progressive_schedule
-from slipstitch.learning.torch_setup import computes_bfloat16, set_up_torch
-from slipstitch.learning.trainer import Learner, Run, Trainer
+from slipstitch.learning.torch_setup import set_up_torch
+from slipstitch.learning.trainer import Phase, Run, Trainer
 
 # Adadelta's decay and the constant below its root: the paper's, and Keras' default.
 RHO, EPSILON = 0.95, 1e-7
 PLATEAU_EPOCHS = 40  # after which a training that is still at chance is given up
+FINE_TUNING, UNTIL_FLAT = "fine-tuning", "until flat"
+# Share of the learning rate to which it falls in the last cycle, and at which fine-tuning goes on.
+ANNEALED_SHARE = 0.05
+CYCLES_MAX = 8  # of epochs until the validation loss is flat
 
 
-@dataclass
-class LrcnLearner(Learner):
-    """A network that tells classes, with the videos that it learns from."""
+def progressive_schedule(
+    settings: TrainSettings, view_order: Sequence[str], twice_as_many: bool = False
+) -> list[Phase]:
+    """Return cycles of one, two ... viewpoints, then the first one alone.
 
-    name: str
-    settings: TrainSettings
-    network: LRCN
-    phases: Sequence[Phase]
-    pixels: np.ndarray  # (n, frames, side, side, 3) uint8
-    labels: np.ndarray  # (n,) int64
-    # (n,) int64: material class numbers that a conditional network is told
-    condition: np.ndarray | None
-    training: np.ndarray
-    viewpoints: np.ndarray  # (n,)
+    With `settings.flat_epochs` epochs of all viewpoints come before the last cycle, which lowers
+    the rate: until the lowest validation loss is so many epochs old and the network has left
+    chance, at most `CYCLES_MAX` cycles. With `twice_as_many` videos there are half as many epochs.
+    """
+    share = 2 if twice_as_many else 1
+    epochs, last = (
+        -(-count // share) for count in (settings.epochs_per_cycle, settings.fine_tuning_epochs)
+    )
+    cycles = [
+        Phase(f"cycle {count}", tuple(view_order[:count]), epochs)
+        for count in range(1, len(view_order) + 1)
+    ]
+    if settings.flat_epochs is not None:
+        most = CYCLES_MAX * epochs
+        cycles.insert(-1, Phase(UNTIL_FLAT, tuple(view_order), most, settings.flat_epochs))
+    if last:
+        cycles.append(Phase(FINE_TUNING, (view_order[0],), last))
+    return cycles
+
+
+def learning_rate(
+    settings: TrainSettings, phases: Sequence[Phase], phase: Phase, done: float
+) -> float:
+    """Return Adadelta's rate: constant, down a cosine in the last cycle, then as at its end."""
+    last_cycle = [other for other in phases if other.name != FINE_TUNING][-1]
+    if phase.name == FINE_TUNING:
+        height = 0.0
+    elif phase is last_cycle:
+        height = 0.5 * (1.0 + math.cos(math.pi * done))
+    else:
+        height = 1.0
+    return settings.learning_rate * (ANNEALED_SHARE + (1.0 - ANNEALED_SHARE) * height)
+
+
+class LrcnTrainer(Trainer):
+    """Trains a network that tells classes.
+
+    Labels are int64 of shape (n,), so are the material class numbers that a conditional network is
+    told, its `condition`.
+    """
 
     stage = "train"
+    network: LRCN
 
-    def __post_init__(self):
+    def __init__(
+        self, network: LRCN, phases: Sequence[Phase], labels: np.ndarray,
+        condition: np.ndarray | None, *training: Any,
+    ):  # fmt: skip
+        super().__init__(*training)
+        self.network, self.phases, self.labels, self.condition = network, phases, labels, condition
         settings = self.settings
-        self.bfloat16 = computes_bfloat16(settings.precision)
+        self.name = f"{self.identity['network']} {self.run.split} seed {self.run.seed}"
         self.optimizer = torch.optim.Adadelta(
-            self.network.parameters(), lr=settings.learning_rate, rho=RHO, eps=EPSILON
+            network.parameters(), lr=settings.learning_rate, rho=RHO, eps=EPSILON
         )
-        self.chance_loss = chance_loss(self.labels[self.training])
+        self.chance_loss = chance_loss(labels[self.training])
         self.plateau_window = settings.epochs_per_cycle
         self.plateau_epochs = PLATEAU_EPOCHS
         self.diverged_hint = f"a smaller train.learning_rate than {settings.learning_rate:g}"
@@ -69,11 +108,6 @@ class LrcnLearner(Learner):
             f"initialisation {settings.initialisation!r}, train.epochs_per_cycle "
             f"{settings.epochs_per_cycle}"
         )
-
-    def videos(self, phase: Phase) -> tuple[np.ndarray, np.ndarray]:
-        """Return those of the phase's viewpoints."""
-        in_view = np.isin(self.viewpoints, phase.viewpoints)
-        return np.flatnonzero(self.training & in_view), np.flatnonzero(~self.training & in_view)
 
     def learning_rate(self, phase: Phase, epoch: int, step: int, videos: int) -> float:
         """Return that of the function of this name, by the share of the videos that were shown."""
@@ -85,7 +119,7 @@ class LrcnLearner(Learner):
     ) -> tuple[Tensor, dict[str, float]]:
         """Return the cross-entropy; its sum and the number of right answers."""
         logits = self.network(
-            torch.from_numpy(self.pixels[batch]),
+            torch.from_numpy(self.videos.pixels[batch]),
             None if self.condition is None else torch.from_numpy(self.condition[batch]),
             self.bfloat16,
         )
@@ -100,7 +134,7 @@ class LrcnLearner(Learner):
             return {"validation_loss": math.nan, "validation_accuracy": math.nan}
         probabilities = class_probabilities(
             self.network,
-            self.pixels[numbers],
+            self.videos.pixels[numbers],
             None if self.condition is None else self.condition[numbers],
             bfloat16=self.bfloat16,
             batch_size=self.settings.batch_size,
@@ -149,7 +183,10 @@ def train_network(
         Epochs by viewpoints; by default the `progressive_schedule`.
     """
     started = start_clock()
-    _check_names(network_name, material_model)
+    conditional = network_name == "friction_conditional"
+    if conditional != (material_model is not None):
+        verb = "requires" if conditional else "does not take"
+        raise BadInput(f"{network_name} {verb} --material-model")
     set_up_torch(run.threads)
     videos, training = run.videos(settings.pixels, run.frames)
     target = network_name.split("_")[0]
@@ -165,33 +202,25 @@ def train_network(
     mean, deviation = _colour_statistics(videos.pixels[training])
     network.mean.copy_(torch.from_numpy(mean))
     network.deviation.copy_(torch.from_numpy(deviation))
-    learner = LrcnLearner(
-        name=f"{network_name} {run.split} seed {run.seed}",
-        settings=settings,
-        network=network,
-        phases=phases or progressive_schedule(settings, view_order, run.split == REFLECTIVE),
-        pixels=videos.pixels,
-        labels=labels,
-        condition=condition,
-        training=training,
-        viewpoints=np.array([row["viewpoint"] for row in videos.rows]),
-    )
     named = {
         "network": network_name,
         "condition_sha256": condition_digest,
         "true_materials": material_model == TRUE,
     }
-    trainer = Trainer(learner, run, videos, started, view_order=list(view_order), **named)
+    phases = phases or progressive_schedule(settings, view_order, run.split == REFLECTIVE)
+    identity = {"view_order": list(view_order), **named}
+    of_training = settings, run, videos, training, started, identity
+    trainer = LrcnTrainer(network, phases, labels, condition, *of_training)
     known = {"target": target, "classes": classes, "condition_classes": condition_classes}
     told = [] if condition_digest is None else _weights_of(material_model, settings)
     return _train_and_write(trainer, view_order, named | known, told)
 
 
 def _train_and_write(
-    trainer: Trainer, view_order: Sequence[str], known: dict[str, Any], told: list[Path]
+    trainer: LrcnTrainer, view_order: Sequence[str], known: dict[str, Any], told: list[Path]
 ) -> dict[str, Any]:
     """Train; write the network, also before fine-tuning if that is kept; return the card."""
-    learner, run = trainer.learner, trainer.run
+    run = trainer.run
 
     def save(folder: Path) -> dict[str, Any]:
         _, frames, pixels = trainer.videos.pixels.shape[:3]
@@ -206,12 +235,12 @@ def _train_and_write(
             "use": "predicts the class in drop-and-drag videos rendered like this dataset; its "
             "performance on other videos, real ones included, is unknown",
         }
-        return save_model(learner.network, card, folder)
+        return save_model(trainer.network, card, folder)
 
     files = [WEIGHTS, CARD]
-    if learner.settings.keep_all_views and learner.phases[-1].name == FINE_TUNING:
+    if trainer.settings.keep_all_views and trainer.phases[-1].name == FINE_TUNING:
         files += [f"{ALL_VIEWS}/{name}" for name in files]
-        before = learner.phases[-2]
+        before = trainer.phases[-2]
         trainer.at_end_of = lambda phase: (
             save(Path(run.out) / ALL_VIEWS) if phase is before else None
         )
@@ -219,15 +248,6 @@ def _train_and_write(
     card = save(Path(run.out))
     trainer.write_record(files, told)
     return card
-
-
-def _check_names(network_name: str, material_model: str | Path | None) -> None:
-    """Refuse a network with or without a material network against its kind."""
-    conditional = network_name == "friction_conditional"
-    if conditional != (material_model is not None):
-        raise BadInput(
-            f"{network_name} {'requires' if conditional else 'does not take'} --material-model"
-        )
 
 
 def _weights_of(material_model: str | Path, settings: TrainSettings) -> list[Path]:

@@ -1,6 +1,6 @@
 """The trainer of all networks: epochs, checkpoints, resumption, history, and how a training ends.
 
-A network brings a `Learner`: its videos, the loss of a batch, the learning rate and the validation.
+A network brings a subclass of `Trainer`: the loss of a batch, the learning rate and the validation.
 """
 
 import csv
@@ -8,7 +8,7 @@ import hashlib
 import math
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import compress, pairwise
 from pathlib import Path
@@ -25,7 +25,7 @@ from slipstitch.config.train import split_of
 from slipstitch.dataset.manifest import MANIFEST
 from slipstitch.dataset.videos import Videos, read_videos, takes_part
 from slipstitch.learning.checkpoint import CHECKPOINT, Progress, load_checkpoint, save_checkpoint
-from slipstitch.learning.schedule import Phase, place
+from slipstitch.learning.torch_setup import computes_bfloat16
 
 HISTORY = "history.csv"
 _BARS = "▁▂▃▄▅▆▇█"
@@ -37,6 +37,41 @@ class PlateauError(SlipstitchError):
 
 class DivergedError(SlipstitchError):
     """The loss is no finite number any more."""
+
+
+@dataclass(frozen=True)
+class Phase:
+    """Epochs of the schedule with the same viewpoints."""
+
+    name: str
+    viewpoints: tuple[str, ...]
+    epochs: int
+    # it ends earlier once its lowest validation loss is so old, if the network has left chance
+    flat_epochs: int | None = None
+
+    def length(self, rows: Sequence[Mapping[str, Any]], left_chance: float) -> int:
+        """Return how many epochs the phase has; below a training loss the network `left_chance`."""
+        lowest, age, least = math.inf, 0, math.inf
+        for number, row in enumerate(rows[: self.epochs], 1):
+            least = min(least, row["train_loss"])
+            age = 0 if row["validation_loss"] < lowest else age + 1
+            lowest = min(lowest, row["validation_loss"])
+            if self.flat_epochs is not None and age >= self.flat_epochs and least < left_chance:
+                return number
+        return self.epochs
+
+
+def place(
+    phases: Sequence[Phase], history: Sequence[Mapping[str, Any]], left_chance: float
+) -> tuple[Phase, int] | None:
+    """Return the phase of the next epoch and its number there, from 0; None at the end."""
+    first = 0
+    for phase in phases:
+        length = phase.length(history[first:], left_chance)
+        if len(history) < first + length:
+            return phase, len(history) - first
+        first += length
+    return None
 
 
 @dataclass(frozen=True)
@@ -70,16 +105,17 @@ class Run:
         return videos, np.array([row[column] == "train" for row in videos.rows])
 
 
-class Learner:
-    """A network with the videos that train it; the base of every network's own."""
+class Trainer:
+    """Trains a network, from the start or from the checkpoint of the same training.
+
+    The base of every network's own, which sets what is declared here. `started` is what
+    `start_clock` returned before the videos were read, `identity` is, in JSON's types, what tells
+    this training from others beside data, settings and code.
+    """
 
     stage: str  # whose code and settings the training depends on
     name: str  # names the training in messages
-    # with ``batch_size``, ``checkpoint_interval_s``, ``plateau_margin`` and ``precision``
-    settings: Any
     network: nn.Module
-    training: np.ndarray  # (n,) bool: which of the videos train; the others validate
-    bfloat16: bool  # whether convolutions are derived in bfloat16
     optimizer: torch.optim.Optimizer
     phases: Sequence[Phase]  # the schedule
     chance_loss: float  # of the best guess that ignores the video, as ``train_loss`` counts it
@@ -88,10 +124,26 @@ class Learner:
     plateau_epochs: int | None = None  # after which it is so first; None: in the end only
     diverged_hint: str  # which settings to look at, for the messages
     plateau_hint: str
+    # called with every phase that ends
+    at_end_of: Callable[[Phase], Any] | None = None
 
-    def videos(self, phase: Phase) -> tuple[np.ndarray, np.ndarray]:
+    def __init__(
+        self, settings: Any, run: Run, videos: Videos, training: np.ndarray, started: Any,
+        identity: dict[str, Any] | None = None,
+    ):  # fmt: skip
+        # with ``batch_size``, ``checkpoint_interval_s``, ``plateau_margin`` and ``precision``
+        self.settings = settings
+        self.run, self.videos, self.started, self.identity = run, videos, started, identity or {}
+        self.training = training  # (n,) bool: which of the videos train; the others validate
+        # whether convolutions are derived in bfloat16
+        self.bfloat16 = computes_bfloat16(settings.precision)
+        self.out = Path(run.out)
+        self.history: list[dict[str, Any]] = []  # a row per finished epoch
+
+    def videos_of(self, phase: Phase) -> tuple[np.ndarray, np.ndarray]:
         """Return the numbers of the videos that train in a phase, and of those that validate it."""
-        return np.flatnonzero(self.training), np.flatnonzero(~self.training)
+        in_view = np.isin([row["viewpoint"] for row in self.videos.rows], phase.viewpoints)
+        return np.flatnonzero(self.training & in_view), np.flatnonzero(~self.training & in_view)
 
     def learning_rate(self, phase: Phase, epoch: int, step: int, videos: int) -> float:
         """Return the rate of a step of an epoch of so many videos, both counted from 0."""
@@ -118,163 +170,142 @@ class Learner:
         """Return what the terminal says of an epoch beside its loss."""
         raise NotImplementedError
 
-
-class Trainer:
-    """Trains a learner, from the start or from the checkpoint of the same training.
-
-    `videos` are those of the run, `started` is what `start_clock` returned before they were
-    read, `identity` is, in JSON's types, what tells this training from others beside data,
-    settings and code. `history` gets a row per finished epoch; `at_end_of` is called with every
-    phase that ends.
-    """
-
-    def __init__(self, learner: Learner, run: Run, videos: Videos, started: Any, **identity: Any):
-        self.learner, self.run, self.videos, self.started = learner, run, videos, started
-        self.at_end_of: Callable[[Phase], Any] | None = None
-        self.out = Path(run.out)
-        self.history: list[dict[str, Any]] = []
-        names = "\n".join(row["video"] for row in videos.rows)
-        self.identity = {
-            "settings": learner.settings.model_dump(mode="json", exclude={"checkpoint_interval_s"}),
-            "dataset_digest": videos.digest,
+    def _identity(self) -> dict[str, Any]:
+        """What only the same training may continue from."""
+        names = "\n".join(row["video"] for row in self.videos.rows)
+        return {
+            "settings": self.settings.model_dump(mode="json", exclude={"checkpoint_interval_s"}),
+            "dataset_digest": self.videos.digest,
             "videos_sha256": hashlib.sha256(names.encode()).hexdigest(),
             "phases": [
                 [phase.name, *phase.viewpoints, phase.epochs, phase.flat_epochs]
-                for phase in learner.phases
+                for phase in self.phases
             ],
-            "bfloat16": learner.bfloat16,
-            "code_digest": code_digest(learner.stage),
-            **{name: getattr(run, name) for name in ("split", "seed", "frames", "threads")},
-            **identity,
+            "bfloat16": self.bfloat16,
+            "code_digest": code_digest(self.stage),
+            **{name: getattr(self.run, name) for name in ("split", "seed", "frames", "threads")},
+            **self.identity,
         }
 
     def train(self) -> None:
-        """Train to the end; then `history` has one row per epoch.
-
-        DivergedError if the loss is not finite, PlateauError if it stays within a margin of chance.
-        """
-        learner = self.learner
-        most = sum(phase.epochs for phase in learner.phases)
-        left_chance = (1.0 - (learner.settings.plateau_margin or 0.0)) * learner.chance_loss
+        """Train to the end; DivergedError if the loss is not finite, PlateauError if at chance."""
+        most = sum(phase.epochs for phase in self.phases)
+        left_chance = (1.0 - (self.settings.plateau_margin or 0.0)) * self.chance_loss
+        self.identity = self._identity()
         progress, message = load_checkpoint(
-            self.out / CHECKPOINT, self.identity, learner.network, learner.optimizer
+            self.out / CHECKPOINT, self.identity, self.network, self.optimizer
         )
         progress = progress or Progress()
         if message:
             print(message, file=sys.stderr)
         self.saved_at = time.monotonic()
-        told = {"desc": learner.name, "unit": "epoch", "disable": not sys.stderr.isatty()}
+        told = {"desc": self.name, "unit": "epoch", "disable": not sys.stderr.isatty()}
         bar = tqdm(total=most, initial=progress.epoch, **told)
         self.history = progress.history
-        following = place(learner.phases, self.history, left_chance)
+        following = place(self.phases, self.history, left_chance)
         while following is not None:
             phase, epoch = following
-            row = self._epoch(progress, phase, epoch)
-            self.history = [*progress.history, row]
+            self.history = [*progress.history, self._epoch(progress, phase, epoch)]
             progress = Progress(epoch=progress.epoch + 1, history=self.history)
-            following = place(learner.phases, self.history, left_chance)
-            self._print_epoch(progress, phase, most, bar)
-            if following is None or progress.epoch == learner.plateau_epochs:
-                self._check_plateau(self.history)
+            following = place(self.phases, self.history, left_chance)
+            self._print_epoch(phase, most, bar)
+            if following is None or progress.epoch == self.plateau_epochs:
+                self._check_plateau()
             if self.at_end_of is not None and (following is None or following[0] is not phase):
                 self.at_end_of(phase)
         bar.close()
 
     def _epoch(self, progress: Progress, phase: Phase, epoch: int) -> dict[str, Any]:
         """Take the remaining steps of an epoch; return its row of the history."""
-        learner, seed = self.learner, self.run.seed
-        training, validating = learner.videos(phase)
-        order = np.random.default_rng([seed, progress.epoch]).permutation(training)
-        size = learner.settings.batch_size
-        learner.network.train()
+        training, validating = self.videos_of(phase)
+        order = np.random.default_rng([self.run.seed, progress.epoch]).permutation(training)
+        size = self.settings.batch_size
+        self.network.train()
         while (first := progress.step * size) < len(order):
-            rate = learner.learning_rate(phase, epoch, progress.step, len(order))
+            rate = self.learning_rate(phase, epoch, progress.step, len(order))
             self._step(progress, order[first : first + size], rate)
-            if time.monotonic() - self.saved_at >= learner.settings.checkpoint_interval_s:
-                path, learnt = self.out / CHECKPOINT, (learner.network, learner.optimizer)
+            if time.monotonic() - self.saved_at >= self.settings.checkpoint_interval_s:
+                path, learnt = self.out / CHECKPOINT, (self.network, self.optimizer)
                 save_checkpoint(path, self.identity, progress, *learnt, self.started)
                 self.saved_at = time.monotonic()
             if self.run.after_step is not None:
                 self.run.after_step(progress)
         return {
             "epoch": progress.epoch + 1,
-            **learner.columns(phase),
+            **self.columns(phase),
             "videos": len(order),
             **{name: total / len(order) for name, total in progress.sums.items()},
             "validation_videos": len(validating),
-            **learner.validation(validating),
-            "chance_loss": learner.chance_loss,
+            **self.validation(validating),
+            "chance_loss": self.chance_loss,
         }
 
     def _step(self, progress: Progress, batch: np.ndarray, rate: float) -> None:
         """Take a step; add its sums to the progress."""
-        learner = self.learner
-        for group in learner.optimizer.param_groups:
+        for group in self.optimizer.param_groups:
             group["lr"] = rate
         generator = np.random.default_rng([self.run.seed, progress.epoch, progress.step])
-        loss, sums = learner.batch_loss(batch, generator)
+        loss, sums = self.batch_loss(batch, generator)
         if not math.isfinite(loss.item()):
             raise DivergedError(
-                f"{learner.name}: the loss became {loss.item()} in epoch {progress.epoch + 1}, "
-                f"step {progress.step + 1}; no model is written (try {learner.diverged_hint})"
+                f"{self.name}: the loss became {loss.item()} in epoch {progress.epoch + 1}, "
+                f"step {progress.step + 1}; no model is written (try {self.diverged_hint})"
             )
-        learner.optimizer.zero_grad()
+        self.optimizer.zero_grad()
         loss.backward()
-        if learner.gradient_norm_max is not None:
-            nn.utils.clip_grad_norm_(learner.network.parameters(), learner.gradient_norm_max)
-        learner.optimizer.step()
+        if self.gradient_norm_max is not None:
+            nn.utils.clip_grad_norm_(self.network.parameters(), self.gradient_norm_max)
+        self.optimizer.step()
         progress.step += 1
         for name, value in sums.items():
             progress.sums[name] = progress.sums.get(name, 0) + value
 
-    def _print_epoch(self, progress: Progress, phase: Phase, epochs: int, bar: tqdm) -> None:
+    def _print_epoch(self, phase: Phase, epochs: int, bar: tqdm) -> None:
         """Show an epoch's end: the curve so far in a terminal, a line elsewhere."""
-        row, name = progress.history[-1], self.learner.name
-        summary = self.learner.summary(row)
+        row = self.history[-1]
+        summary = self.summary(row)
         bar.update()
-        losses = curve([past["train_loss"] for past in progress.history])
+        losses = curve([past["train_loss"] for past in self.history])
         bar.set_postfix_str(f"{losses} loss {row['train_loss']:.4f}, {summary}")
         if bar.disable:
             epoch = " ".join(filter(None, (f"epoch {row['epoch']}/{epochs}", phase.name)))
             print(
-                f"{name}: {epoch}: loss {row['train_loss']:.4f} "
+                f"{self.name}: {epoch}: loss {row['train_loss']:.4f} "
                 f"(chance {row['chance_loss']:.4f}), {summary}",
                 file=sys.stderr,
             )
 
-    def _check_plateau(self, history: list[dict[str, Any]]) -> None:
+    def _check_plateau(self) -> None:
         """Fail if the loss of the last epochs is still that of guessing."""
-        learner = self.learner
-        recent = history[-learner.plateau_window :]
+        recent = self.history[-self.plateau_window :]
         videos = sum(row["videos"] for row in recent)
         loss = sum(row["train_loss"] * row["videos"] for row in recent) / videos
-        margin = learner.settings.plateau_margin
-        if margin is not None and loss > (1.0 - margin) * learner.chance_loss:
+        margin = self.settings.plateau_margin
+        if margin is not None and loss > (1.0 - margin) * self.chance_loss:
             raise PlateauError(
-                f"{learner.name}: after {len(history)} epochs the training loss is still "
-                f"{loss:.4f}, at chance ({learner.chance_loss:.4f}): the network did not learn, no "
-                f"model is written ({learner.plateau_hint})"
+                f"{self.name}: after {len(self.history)} epochs the training loss is still "
+                f"{loss:.4f}, at chance ({self.chance_loss:.4f}): the network did not learn, no "
+                f"model is written ({self.plateau_hint})"
             )
 
     def facts(self) -> dict[str, Any]:
         """Return the entries on the training that all model cards have."""
-        learner, videos = self.learner, self.videos
         return {
-            "bfloat16": learner.bfloat16,
-            "settings": learner.settings.model_dump(mode="json"),
-            "dataset_digest": videos.digest,
-            "training_videos": int(learner.training.sum()),
-            "training_simulations": len(simulations(videos, learner.training)),
+            "bfloat16": self.bfloat16,
+            "settings": self.settings.model_dump(mode="json"),
+            "dataset_digest": self.videos.digest,
+            "training_videos": int(self.training.sum()),
+            "training_simulations": len(simulations(self.videos, self.training)),
             "epochs": len(self.history),
             "train_loss": self.history[-1]["train_loss"],
-            "chance_loss": learner.chance_loss,
-            "parameters": sum(weight.numel() for weight in learner.network.parameters()),
-            "multiply_accumulates_per_frame": learner.network.multiply_accumulates,
+            "chance_loss": self.chance_loss,
+            "parameters": sum(weight.numel() for weight in self.network.parameters()),
+            "multiply_accumulates_per_frame": self.network.multiply_accumulates,
         }
 
     def write_record(self, model_files: Sequence[str], other_inputs: Sequence[Path] = ()) -> None:
         """Write the history and where it and the model come from; remove the checkpoint."""
-        run, stage = self.run, self.learner.stage
+        run, stage = self.run, self.stage
         with (
             atomic_path(self.out / HISTORY) as temporary,
             open(temporary, "w", newline="") as stream,
@@ -284,7 +315,7 @@ class Trainer:
             writer.writerows(self.history)
         shards = sorted({row["file"] for row in self.videos.rows})
         inputs = [Path(run.dataset) / name for name in (MANIFEST, *shards)]
-        made = {"config": {stage: self.learner.settings}, "seed": run.seed, "started": self.started}
+        made = {"config": {stage: self.settings}, "seed": run.seed, "started": self.started}
         record = provenance_record(stage, inputs=[*inputs, *other_inputs], **made)
         record["threads"] = run.threads
         for name in (*model_files, HISTORY):

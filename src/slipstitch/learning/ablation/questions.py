@@ -40,32 +40,30 @@ class Selection:
     numbers: dict[str, int] = field(default_factory=dict)
 
 
-@dataclass(frozen=True)
+@dataclass
 class Candidates:
     """The videos of a manifest available for training and testing, from some viewpoints."""
 
     training: list[Row]
     held_out: list[Row]
 
-    @property
-    def textures(self) -> list[str]:
-        """Return the training textures, by id."""
-        return sorted({row["texture_id"] for row in self.training})
-
-    def simulations(self) -> dict[tuple[str, str], list[Row]]:
-        """Return, by material and friction, one row of each training simulation."""
-        pairs: dict[tuple[str, str], dict[str, Row]] = defaultdict(dict)
+    def __post_init__(self):
+        self.textures = sorted({row["texture_id"] for row in self.training})
+        # by material and friction, one row of each training simulation
+        found: dict[tuple[str, str], dict[str, Row]] = defaultdict(dict)
         for row in self.training:
-            pairs[row["material_id"], row["friction_id"]][row["simulation"]] = row
-        return {pair: [of[name] for name in sorted(of)] for pair, of in sorted(pairs.items())}
+            found[row["material_id"], row["friction_id"]][row["simulation"]] = row
+        self.pairs = {pair: [of[name] for name in sorted(of)] for pair, of in sorted(found.items())}
+        self.simulations = [row for of_pair in self.pairs.values() for row in of_pair]
 
     def ids(self, wanted: set[tuple[str, str]]) -> Videos:
         """Return the training videos of some (simulation, texture), from all viewpoints."""
-        return _ids(self.training, lambda row: (row["simulation"], row["texture_id"]) in wanted)
+        seen = (row for row in self.training if (row["simulation"], row["texture_id"]) in wanted)
+        return frozenset(row["video"] for row in seen)
 
     def tests(self, counts: Callable[[Row], bool] = lambda row: True) -> Videos:
         """Return the held-out videos that count."""
-        return _ids(self.held_out, counts)
+        return frozenset(row["video"] for row in self.held_out if counts(row))
 
     def dealt(self, simulations: list[Row], generator: np.random.Generator) -> dict[str, str]:
         """Return a texture for each simulation, such that none gives a coefficient away."""
@@ -80,17 +78,12 @@ class Candidates:
         return result
 
 
-def _ids(rows: list[Row], counts: Callable[[Row], bool]) -> Videos:
-    return frozenset(row["video"] for row in rows if counts(row))
-
-
 def _diversity(videos: Candidates, generator: np.random.Generator) -> Selection:
     """Replicates against textures at an equal number of videos.
 
     Both variants see every texture equally often: else the test videos would be new to one only.
     """
-    pairs = videos.simulations()
-    fewest = min(map(len, pairs.values()))
+    fewest = min(map(len, videos.pairs.values()))
     count = min(len(videos.textures), fewest)
     if count < 2:
         raise BadInput(
@@ -100,7 +93,7 @@ def _diversity(videos: Candidates, generator: np.random.Generator) -> Selection:
     textures = videos.textures[:count]
     drawn = {
         pair: [rows[k]["simulation"] for k in generator.permutation(len(rows))[:count]]
-        for pair, rows in pairs.items()
+        for pair, rows in videos.pairs.items()
     }
     many = {
         (simulation, texture)
@@ -124,9 +117,8 @@ def _floors(videos: Candidates, generator: np.random.Generator) -> Selection:
     """
     matte: dict[str, list[Row]] = defaultdict(list)
     mirrors: dict[str, list[Row]] = defaultdict(list)
-    for of_pair in videos.simulations().values():
-        for row in of_pair:
-            (mirrors if _mirrors(row) else matte)[row["friction_id"]].append(row)
+    for row in videos.simulations:
+        (mirrors if _mirrors(row) else matte)[row["friction_id"]].append(row)
     frictions = [f for f in sorted(matte) if len(matte[f]) >= 2 and mirrors[f]]
     held = {_mirrors(row) for row in videos.held_out if row["friction_id"] in frictions}
     if len(frictions) < 2 or held != {True, False}:
@@ -252,8 +244,7 @@ def selected(
     generator = np.random.default_rng([seed, 5])
     if question.select is not None:
         return views, question.select(videos, generator)
-    simulations = [row for of_pair in videos.simulations().values() for row in of_pair]
-    chosen = videos.ids({*videos.dealt(simulations, generator).items()})
+    chosen = videos.ids({*videos.dealt(videos.simulations, generator).items()})
     tests = {"held-out": videos.tests()}
     if len(views) > 1:
         calibrated = videos.tests(lambda row: row["viewpoint"] == views[0])

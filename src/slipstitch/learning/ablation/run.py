@@ -16,9 +16,8 @@ from slipstitch.learning.ablation.questions import QUESTIONS, selected
 from slipstitch.learning.instrument.measuring import Instrument, load_instrument
 from slipstitch.learning.instrument.training import train_instrument
 from slipstitch.learning.lrcn import TRUE, LrcnModel, load_model
-from slipstitch.learning.lrcn_training import train_network
-from slipstitch.learning.schedule import FINE_TUNING, Phase
-from slipstitch.learning.trainer import DivergedError, Run
+from slipstitch.learning.lrcn_training import progressive_schedule, train_network
+from slipstitch.learning.trainer import DivergedError, Phase, Run
 
 
 @dataclass(frozen=True)
@@ -37,7 +36,7 @@ def lrcn_settings(config: Config, overrides: dict[str, Any]) -> TrainSettings:
     return TrainSettings.model_validate(whole | {"plateau_margin": None})
 
 
-def phases(viewpoints: list[str], passes: int, fine_tuning: int, joint: bool) -> list[Phase]:
+def phases(settings: TrainSettings, viewpoints: list[str], passes: int, joint: bool) -> list[Phase]:
     """Return epochs by viewpoints; joint and progressive show as many videos.
 
     One viewpoint: `passes` epochs. V of them: cycles of E = 2 passes / (V + 1) epochs, rounded (and
@@ -49,15 +48,11 @@ def phases(viewpoints: list[str], passes: int, fine_tuning: int, joint: bool) ->
         return [Phase("one viewpoint", tuple(viewpoints), passes)]
     epochs = max(1, round(2 * passes / (count + 1)))
     epochs += (count % 2 == 0) and (epochs % 2)
+    changes = {"epochs_per_cycle": epochs, "flat_epochs": None}
+    planned = progressive_schedule(settings.model_copy(update=changes), viewpoints)
     if joint:
-        whole = [Phase("joint", tuple(viewpoints), epochs * (count + 1) // 2)]
-    else:
-        whole = [
-            Phase(f"cycle {seen}", tuple(viewpoints[:seen]), epochs) for seen in range(1, count + 1)
-        ]
-    if fine_tuning:
-        whole.append(Phase(FINE_TUNING, (viewpoints[0],), fine_tuning))
-    return whole
+        planned[:count] = [Phase("joint", tuple(viewpoints), epochs * (count + 1) // 2)]
+    return planned
 
 
 def run_case(
@@ -80,7 +75,7 @@ def run_case(
         return result | {"left_out": str(reason), "predictions": []}
     variant = QUESTIONS[case.question].variants[case.variant]
     settings = lrcn_settings(config, variant.train)
-    planned = phases(views, config.ablate.passes, settings.fine_tuning_epochs, variant.joint)
+    planned = phases(settings, views, config.ablate.passes, variant.joint)
     passes = sum(phase.epochs * len(phase.viewpoints) for phase in planned) / len(views)
     training = videos.training[case.variant]
     is_instrument = case.network == "instrument"

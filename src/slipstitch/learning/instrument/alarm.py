@@ -62,10 +62,7 @@ class Alarm:
     threshold: float = 0.0  # of the largest scaled score
 
     def raw(self, videos: np.ndarray, embedding: np.ndarray, order: np.ndarray) -> np.ndarray:
-        """The four scores, float64 (n, 4), of uint8 frames (n, frames, side, side, 3).
-
-        Embeddings are (n, N * E), `order` (n,) the logits of an ordinary video.
-        """
+        """The four scores (n, 4) of uint8 frames, embeddings (n, N * E), logits of order (n,)."""
         away = thumbnails(videos) - self.mean
         inside = away @ self.components.T
         rest = np.maximum((away**2).sum(1) - (inside**2).sum(1), 0.0)

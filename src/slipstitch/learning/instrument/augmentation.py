@@ -82,10 +82,7 @@ def phased(videos: np.ndarray, frames: int, generator: np.random.Generator | Non
 
 
 def disordered(video: np.ndarray, generator: np.random.Generator) -> np.ndarray:
-    """A video (frames, ...) whose frames do not follow one another as they should.
-
-    By chance: reversed; frozen; halves exchanged; shuffled; the first half at half speed.
-    """
+    """A video reversed, frozen, halves exchanged, shuffled, or the first half at half speed."""
     count = len(video)
     straight = np.arange(count)
     orders = (

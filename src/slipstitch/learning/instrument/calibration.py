@@ -10,7 +10,6 @@ known friction is all that the conformal step needs to allow for them.
 import dataclasses
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -39,10 +38,10 @@ ANSWERS = "calibration.parquet"
 FALSE_ALARMS = 0.05  # of the alarm, on valid videos
 TEMPERATURES = (0.2, 25.0)
 SPREADS = (1.0, 30.0)
-_NAMES = ("video", "simulation", "material", "friction")
+_NAMES = ("video", "simulation", "material")
 ANSWERS_SCHEMA = pa.schema(
     [
-        *((name, pa.string()) for name in _NAMES[:3]),
+        *((name, pa.string()) for name in _NAMES),
         ("friction", pa.float64()),
         ("probabilities", pa.list_(pa.float32())),  # on the grid of mu, before any calibration
         ("material_logits", pa.list_(pa.float32())),
@@ -51,65 +50,23 @@ ANSWERS_SCHEMA = pa.schema(
 )
 
 
-@dataclass(frozen=True)
-class CalibrationAnswers:
-    """Uncalibrated answers on n videos that did not train."""
-
-    rows: list[dict[str, Any]]  # ``video, simulation, material, friction`` of each
-    probabilities: np.ndarray  # (n, G): on the grid of mu
-    material_logits: np.ndarray  # (n, M)
-    strangeness: np.ndarray  # (n, 4): scores of the alarm, before they are scaled
-
-    @property
-    def groups(self) -> list[str]:
-        """Return the simulation of each."""
-        return [row["simulation"] for row in self.rows]
-
-    @property
-    def friction(self) -> np.ndarray:
-        """Return the coefficient of each, shape (n,)."""
-        return np.array([row["friction"] for row in self.rows])
-
-    def table(self) -> pa.Table:
-        """Return the answers as `ANSWERS` keeps them: those of the networks in float32."""
-        columns = {
-            **{name: [row[name] for row in self.rows] for name in _NAMES},
-            "probabilities": self.probabilities.tolist(),
-            "material_logits": self.material_logits.tolist(),
-            **dict(zip(SCORES, self.strangeness.T.tolist(), strict=True)),
-        }
-        return pa.table(columns, schema=ANSWERS_SCHEMA)
-
-
-def from_table(table: pa.Table) -> CalibrationAnswers:
-    """Return the inverse of `CalibrationAnswers.table`, rounded to what a table keeps."""
-    columns = table.to_pydict()
-    scores = [columns[name] for name in SCORES]
-    return CalibrationAnswers(
-        rows=table.select(_NAMES).to_pylist(),
-        probabilities=np.array(columns["probabilities"], np.float64),
-        material_logits=np.array(columns["material_logits"], np.float64),
-        strangeness=np.stack(scores, axis=1).astype(np.float64),
-    )
-
-
-def read_answers(folder: str | Path) -> CalibrationAnswers:
-    """Read `ANSWERS` of an average; BadInput if the file is missing, damaged or another one."""
-    return from_table(read_parquet(Path(folder) / ANSWERS, ANSWERS_SCHEMA.names))
-
-
 def answers_on(
     instrument: Instrument, alarm: Alarm, videos: Videos, generator: np.random.Generator
-) -> CalibrationAnswers:
-    """Return what an instrument and its alarm say of videos that are to calibrate both."""
+) -> pa.Table:
+    """Return what both say of videos that are to calibrate them, not yet rounded to `ANSWERS`."""
     frames = phased(videos.pixels, instrument.card["frames"], None)
     answers = instrument.answers(frames, generator, poses_of(videos.rows))
-    return CalibrationAnswers(
-        rows=[{name: row[name] for name in _NAMES} for row in videos.rows],
-        probabilities=answers.probabilities,
-        material_logits=answers.material_logits,
-        strangeness=alarm.raw(frames, answers.embedding, answers.order),
+    scores = alarm.raw(frames, answers.embedding, answers.order)
+    return pa.table(
+        {name: [row[name] for row in videos.rows] for name in (*_NAMES, "friction")}
+        | {name: getattr(answers, name).tolist() for name in ("probabilities", "material_logits")}
+        | dict(zip(SCORES, scores.T.tolist(), strict=True))
     )
+
+
+def numbers(answers: pa.Table, *names: str) -> list[np.ndarray]:
+    """Return columns of `answers_on` as arrays, float64 of shape (n,) or (n, any)."""
+    return [np.array(answers[name].to_pylist(), np.float64) for name in names]
 
 
 def fitted_spread(
@@ -170,20 +127,20 @@ def calibrated(instrument: Instrument, videos: Videos, training: np.ndarray) -> 
     return with_error_bars(instrument, alarm, held)
 
 
-def with_error_bars(instrument: Instrument, alarm: Alarm, held: CalibrationAnswers) -> Instrument:
-    """Return the instrument with error bars from its answers on videos that did not train it."""
-    groups, friction = held.groups, held.friction
-    names = instrument.card["materials"]
-    known = [k for k, row in enumerate(held.rows) if row["material"] in names]
-    width = fitted_spread(held.probabilities, instrument.grid, friction, groups)
-    scores = instrument.needed_scale(spread(held.probabilities, instrument.grid, width), friction)
+def with_error_bars(instrument: Instrument, alarm: Alarm, held: pa.Table) -> Instrument:
+    """Return the instrument with error bars from its `answers_on` videos that did not train it."""
+    groups, names = held["simulation"].to_pylist(), instrument.card["materials"]
+    friction, probabilities, logits = numbers(held, "friction", "probabilities", "material_logits")
+    width = fitted_spread(probabilities, instrument.grid, friction, groups)
+    scores = instrument.needed_scale(spread(probabilities, instrument.grid, width), friction)
     temperature = 1.0  # without a fabric that trains, nothing tells how sure the network may be
-    if known:
-        fabrics = np.array([names.index(held.rows[k]["material"]) for k in known])
-        logits, of_known = held.material_logits[known], [groups[k] for k in known]
-        temperature = fitted_material_temperature(logits, fabrics, of_known)
+    fabrics = held["material"].to_pylist()
+    if known := [k for k, fabric in enumerate(fabrics) if fabric in names]:
+        truth = np.array([names.index(fabrics[k]) for k in known])
+        of_known = [groups[k] for k in known]
+        temperature = fitted_material_temperature(logits[known], truth, of_known)
     scale = grouped_quantile(scores, groups, COVERAGE)
-    alarm = alarm.calibrated(held.strangeness, groups, FALSE_ALARMS)
+    alarm = alarm.calibrated(np.stack(numbers(held, *SCORES), axis=1), groups, FALSE_ALARMS)
     return dataclasses.replace(instrument, error_bars=ErrorBars(width, temperature, scale, alarm))
 
 

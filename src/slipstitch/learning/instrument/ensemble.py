@@ -19,6 +19,7 @@ from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import (
     file_digest,
     provenance_record,
+    read_parquet,
     read_provenance,
     start_clock,
     write_parquet,
@@ -33,13 +34,11 @@ from slipstitch.learning.instrument.calibration import (
     ANSWERS_SCHEMA,
     READINGS,
     READINGS_SCHEMA,
-    CalibrationAnswers,
     Readings,
     answers_on,
-    from_table,
     groups_of,
     kept_readings,
-    read_answers,
+    numbers,
     read_readings,
     readings_on,
     sources_of,
@@ -52,6 +51,7 @@ from slipstitch.learning.instrument.measuring import (
     NETWORKS_MAX,
     WEIGHTS,
     Instrument,
+    check_fits,
     halved,
     load_instrument,
     restored,
@@ -109,8 +109,7 @@ def combine_instruments(
     if alarms:
         alarm = _joined(alarms)
         videos = _held_out(trained[0], dataset, split)
-        answers = answers_on(combined, alarm, videos, np.random.default_rng(0))
-        held = from_table(answers.table())  # rounded as it is kept
+        held = answers_on(combined, alarm, videos, np.random.default_rng(0)).cast(ANSWERS_SCHEMA)
         combined = with_error_bars(combined, alarm, held)
         readings = _read_further(combined, [], further)
         combined = _rescaled(combined, held, readings)
@@ -165,7 +164,7 @@ def recalibrate_instrument(
         raise BadInput(f"{folder}: is a single training; averages alone keep what calibrated them")
     if before.error_bars is None:
         raise BadInput(f"{folder}: has no alarm, as nothing has calibrated it")
-    held = read_answers(folder)
+    held = read_parquet(Path(folder) / ANSWERS, ANSWERS_SCHEMA.names)
     readings = kept_readings(folder)
     try:
         inputs = read_provenance(Path(folder) / WEIGHTS)["inputs"]
@@ -216,7 +215,7 @@ def _read_further(
     for path, is_dataset in (*((one, True) for one in further), *((one, False) for one in files)):
         if is_dataset:
             videos = read_videos(path, in_view, combined.settings.pixels)
-            _check_further(combined, videos, path)
+            check_fits(videos, combined.card["frames"], combined.settings, path)
             found = readings_on(combined, videos)
         else:
             found = read_readings(path, combined)
@@ -230,39 +229,28 @@ def _read_further(
     return readings
 
 
-def _rescaled(combined: Instrument, held: CalibrationAnswers, readings: Readings) -> Instrument:
+def _rescaled(combined: Instrument, held: pa.Table, readings: Readings) -> Instrument:
     """The average whose conformal scale, and card, count the readings' simulations too."""
-    simulations = len({*held.groups}) + len({*groups_of(readings)})
+    groups = held["simulation"].to_pylist()
+    simulations = len({*groups}) + len({*groups_of(readings)})
     card = combined.card | {"calibration_simulations": simulations}
     bars = combined.error_bars
     if bars and readings:
         card["calibration_readings"] = sources_of(readings)
-        own = combined.needed_scale(combined.distributions(held.probabilities), held.friction)
+        probabilities, friction = numbers(held, "probabilities", "friction")
+        own = combined.needed_scale(combined.distributions(probabilities), friction)
         scale = grouped_quantile(
             np.concatenate([own, [row["stretch"] for row in readings]]),
-            [*(f"own {group}" for group in held.groups), *groups_of(readings)],
+            [*(f"own {group}" for group in groups), *groups_of(readings)],
             COVERAGE,
         )
         bars = dataclasses.replace(bars, conformal_scale=scale)
     return dataclasses.replace(combined, card=card, error_bars=bars)
 
 
-def _check_further(combined: Instrument, videos: Videos, folder: str | Path) -> None:
-    """BadInput if the videos of a dataset are of no use to calibrate."""
-    frames, wanted = videos.pixels.shape[1], combined.card["frames"]
-    if frames < wanted:
-        raise BadInput(f"{folder}: videos of {frames} frames; the instrument requires {wanted}")
-    largest = max(row["friction"] for row in videos.rows)
-    if largest > combined.settings.friction_max:
-        raise BadInput(
-            f"{folder}: has a coefficient of {largest:g}; the instrument can say at most "
-            f"{combined.settings.friction_max:g}"
-        )
-
-
 def _write(
     combined: Instrument,
-    held: CalibrationAnswers | None,
+    held: pa.Table | None,
     readings: Readings,
     out_dir: str | Path,
     record: dict[str, Any],
@@ -272,8 +260,7 @@ def _write(
     written = save_instrument(combined, out)
     for name in (WEIGHTS, CARD):
         write_sidecar(out / name, record)
-    answers = ANSWERS_SCHEMA.empty_table() if held is None else held.table()
-    write_parquet(answers, out / ANSWERS, {}, record)
+    write_parquet(held or ANSWERS_SCHEMA.empty_table(), out / ANSWERS, {}, record)
     table = pa.Table.from_pylist(readings, schema=READINGS_SCHEMA)
     write_parquet(table, out / READINGS, {}, record)
     return written

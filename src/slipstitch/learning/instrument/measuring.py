@@ -224,6 +224,21 @@ class Instrument:
         return frames if shape[1] == side else resized(frames, side)
 
 
+def check_fits(
+    videos: Videos, frames: int, settings: InstrumentSettings, dataset: str | Path
+) -> None:
+    """Refuse videos with fewer frames, or larger coefficients, than an instrument is for."""
+    stored = videos.pixels.shape[1]
+    if stored < frames:
+        raise BadInput(f"{dataset}: videos have {stored} frames; the instrument requires {frames}")
+    largest = max(row["friction"] for row in videos.rows)
+    if largest > settings.friction_max:
+        raise BadInput(
+            f"{dataset}: friction {largest:g} is above the grid's end, {settings.friction_max:g} "
+            "(instrument.friction_max)"
+        )
+
+
 def _answer(network: InstrumentNetwork, outputs: dict[str, torch.Tensor]) -> dict[str, np.ndarray]:
     """What a network says of a video, averaged over its augmented views: fields of `Answers`."""
     # In float64: in float32 a distribution's tail would end at five deviations.

@@ -2,7 +2,6 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import compress
 from typing import Any
 
@@ -27,7 +26,13 @@ from slipstitch.learning.instrument.distribution import (
     mixture_cumulative,
     ranked_probability_score,
 )
-from slipstitch.learning.instrument.measuring import CARD, WEIGHTS, Instrument, save_instrument
+from slipstitch.learning.instrument.measuring import (
+    CARD,
+    WEIGHTS,
+    Instrument,
+    check_fits,
+    save_instrument,
+)
 from slipstitch.learning.instrument.network import (
     InstrumentNetwork,
     keypoint_errors,
@@ -37,9 +42,8 @@ from slipstitch.learning.instrument.network import (
 )
 from slipstitch.learning.instrument.poses import pose_range, poses_of, scaled
 from slipstitch.learning.prediction import classes_of
-from slipstitch.learning.schedule import Phase
-from slipstitch.learning.torch_setup import computes_bfloat16, set_up_torch
-from slipstitch.learning.trainer import Learner, Run, Trainer, simulations
+from slipstitch.learning.torch_setup import set_up_torch
+from slipstitch.learning.trainer import Phase, Run, Trainer, simulations
 
 DISORDERED = 4  # for so many videos, one is also shown in disorder
 WEIGHT_DECAY = 0.02  # AdamW's
@@ -58,11 +62,8 @@ def _training_videos(
 ) -> tuple[Videos, np.ndarray]:
     """Return the videos, and which of them train; BadInput if they cannot train or calibrate."""
     videos, training = run.videos(settings.pixels, None, viewpoints)
-    dataset, stored = run.dataset, videos.pixels.shape[1]
-    if run.frames is not None and stored < run.frames:
-        raise BadInput(
-            f"{dataset}: videos have {stored} frames; the instrument requires {run.frames}"
-        )
+    dataset = run.dataset
+    check_fits(videos, run.frames or 0, settings, dataset)
     trained = list(compress(videos.rows, training))
     for key, least in (("material", 1), ("friction", 2)):
         found = {row[f"{key}_id"] for row in trained}
@@ -77,12 +78,6 @@ def _training_videos(
     absent = [row["friction"] for row in videos.rows if row["friction_id"] not in found]
     if absent:
         raise BadInput(f"{dataset}: friction {min(absent)} has no training video")
-    largest = max(row["friction"] for row in videos.rows)
-    if largest > settings.friction_max:
-        raise BadInput(
-            f"{dataset}: friction {largest:g} is above the grid's end, {settings.friction_max:g} "
-            "(instrument.friction_max)"
-        )
     return videos, training
 
 
@@ -154,32 +149,33 @@ def training_views(
     return augmented(whole, settings, generator), ordered, shown, places
 
 
-@dataclass
-class InstrumentLearner(Learner):
-    """The instrument's network with the videos that it learns from."""
+class InstrumentTrainer(Trainer):
+    """Trains the instrument's network.
 
-    name: str
-    settings: InstrumentSettings
-    network: InstrumentNetwork
-    phases: Sequence[Phase]
-    rows: Sequence[dict[str, Any]]  # of the manifest
-    pixels: np.ndarray  # (n, stored frames, side, side, 3) uint8
-    frames: int  # that the network sees of them
-    friction: Tensor  # (n,)
-    labels: Tensor  # (n,): class numbers of the fabrics; `UNKNOWN` for one that does not train
-    training: np.ndarray
-    poses: Tensor  # (n, 4): of the cameras, scaled
-    # (n, stored frames, points, 3): their places in the network's unit, where it learns them
-    points: Tensor | None = None
+    Labels are class numbers of the fabrics, int64 of shape (n,), `UNKNOWN` of one that does not
+    train; `points` the places of points in the network's unit (n, stored frames, points, 3), where
+    the network learns them.
+    """
 
     stage = "instrument"
     gradient_norm_max = 1.0
+    network: InstrumentNetwork
 
-    def __post_init__(self):
-        settings = self.settings
-        self.bfloat16 = computes_bfloat16(settings.precision)
-        self.next_friction = next_frictions(self.rows, self.training)
-        self.optimizer = torch.optim.AdamW(self.network.parameters(), weight_decay=WEIGHT_DECAY)
+    def __init__(
+        self, network: InstrumentNetwork, frames: int, labels: Tensor, points: Tensor | None,
+        viewpoints: Sequence[str], *training: Any,
+    ):  # fmt: skip
+        super().__init__(*training)
+        settings, rows = self.settings, self.videos.rows
+        self.network, self.frames, self.labels, self.points = network, frames, labels, points
+        self.name = f"instrument {self.run.split} seed {self.run.seed}"
+        # Twice as many videos, each shown half as often.
+        epochs = -(-settings.epochs // (1 + (self.run.split == REFLECTIVE)))
+        self.phases = [Phase("", tuple(viewpoints), epochs)]
+        self.friction = torch.tensor([row["friction"] for row in rows])
+        self.poses = scaled(poses_of(rows))
+        self.next_friction = next_frictions(rows, self.training)
+        self.optimizer = torch.optim.AdamW(network.parameters(), weight_decay=WEIGHT_DECAY)
         self.chance_loss = chance_score(self.friction.numpy()[self.training])
         self.diverged_hint = f"a smaller instrument.learning_rate than {settings.learning_rate:g}"
         self.plateau_hint = "instrument.epochs, instrument.learning_rate"
@@ -194,7 +190,7 @@ class InstrumentLearner(Learner):
     ) -> tuple[Tensor, dict[str, float]]:
         """Weighted sum of the losses; sums of the friction's score and of the median's error."""
         views, ordered, shown, places = training_views(
-            self.pixels[batch], self.frames, self.settings, generator
+            self.videos.pixels[batch], self.frames, self.settings, generator
         )
         friction, labels = self.friction[batch], self.labels[batch]
         poses = self.poses[batch][shown]
@@ -217,7 +213,7 @@ class InstrumentLearner(Learner):
         """Loss of what is read from simulated places of videos drawn at random, without images."""
         chosen = generator.choice(np.flatnonzero(self.training), POINTS_VIDEOS)
         others = self.next_friction[chosen]
-        places = phase_frames(len(chosen), self.pixels.shape[1], self.frames, generator)
+        places = phase_frames(len(chosen), self.videos.pixels.shape[1], self.frames, generator)
         share = torch.from_numpy(generator.random(len(chosen), np.float32))
         friction = torch.lerp(self.friction[chosen], self.friction[others], share)
         points = torch.lerp(
@@ -242,7 +238,7 @@ class InstrumentLearner(Learner):
         parts: dict[str, list[Tensor]] = {name: [] for name in names}
         with torch.inference_mode():
             for batch in np.array_split(numbers, -(-len(numbers) // 8)):
-                views = standardised(phased(self.pixels[batch], self.frames, None))
+                views = standardised(phased(self.videos.pixels[batch], self.frames, None))
                 outputs = self.network(views, self.bfloat16, self.poses[batch])
                 cumulative = mixture_cumulative(outputs["friction"], self.network.middles)
                 truth, grid, labels = self.friction[batch], self.network.grid, self.labels[batch]
@@ -266,10 +262,7 @@ class InstrumentLearner(Learner):
 def train_instrument(
     settings: InstrumentSettings, run: Run, viewpoints: Sequence[str]
 ) -> dict[str, Any]:
-    """Train, calibrate by the validation videos, and write an instrument; return its card.
-
-    BadInput if dataset or arguments do not fit; else as `Trainer.train`.
-    """
+    """Train, calibrate by the validation videos, and write an instrument; return its card."""
     started = start_clock()
     set_up_torch(run.threads)
     videos, training = _training_videos(settings, run, viewpoints)
@@ -278,24 +271,10 @@ def train_instrument(
     numbers = {entry["id"]: number for number, entry in enumerate(materials)}
     torch.manual_seed(run.seed)
     network = InstrumentNetwork(settings, len(materials), videos.pixels.shape[2])
-    learner = InstrumentLearner(
-        name=f"instrument {run.split} seed {run.seed}",
-        settings=settings,
-        network=network,
-        # Twice as many videos, each shown half as often.
-        phases=[
-            Phase("", tuple(viewpoints), -(-settings.epochs // (1 + (run.split == REFLECTIVE))))
-        ],
-        rows=videos.rows,
-        pixels=videos.pixels,
-        frames=frames,
-        friction=torch.tensor([row["friction"] for row in videos.rows]),
-        labels=torch.tensor([numbers.get(row["material_id"], UNKNOWN) for row in videos.rows]),
-        training=training,
-        poses=scaled(poses_of(videos.rows)),
-        points=keypoints_in_unit(network, videos, training) if settings.points_weight else None,
-    )
-    trainer = Trainer(learner, run, videos, started)
+    labels = torch.tensor([numbers.get(row["material_id"], UNKNOWN) for row in videos.rows])
+    points = keypoints_in_unit(network, videos, training) if settings.points_weight else None
+    of_training = settings, run, videos, training, started
+    trainer = InstrumentTrainer(network, frames, labels, points, viewpoints, *of_training)
     trainer.train()
     card = {
         "materials": [entry["name"] for entry in materials],
