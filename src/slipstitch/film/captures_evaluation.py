@@ -14,7 +14,7 @@ from slipstitch.base.errors import BadInput
 from slipstitch.base.page.figures import data_uri, new_figure, styled, svg_uri
 from slipstitch.base.page.palette import INK, SERIES
 from slipstitch.base.page.templates import render
-from slipstitch.base.page.wording import evenly, number, seeds_in_words
+from slipstitch.base.page.wording import evenly, seeds_in_words
 from slipstitch.base.provenance import (
     provenance_record,
     start_clock,
@@ -119,9 +119,9 @@ def write_captures_evaluation(
     set_up_torch(threads)
     rows = predict_captures(dataset, trained)
     metrics = capture_metrics(rows)
-    weights = [path for paths in trained.weights().values() for path in paths]
+    models = [path for paths in trained.files().values() for path in paths]
     inputs = [Path(dataset) / name for name in (MANIFEST, CAPTURES)]
-    record = provenance_record("evaluate", inputs=inputs + weights, started=started)
+    record = provenance_record("evaluate", inputs=inputs + models, started=started)
     write_json(out, metrics, record)
     write_parquet(pa.Table.from_pylist(rows), predictions_out, {}, record)
     if page_out is not None:
@@ -136,15 +136,12 @@ def captures_page(
     found: Sequence[Mapping[str, Any]],
     metrics: Mapping[str, Mapping[str, Mapping[str, Any]]],
 ) -> str:
-    """Return the page as HTML; it needs no other file.
-
-    From the dataset of the captures, for their pictures, the captures, the predictions of
-    `predict_captures`, and their metrics.
-    """
+    """Return the page as HTML, of the captures, what `predict_captures` found, and the metrics."""
     columns = metrics_of(OF_CAPTURES)
     return render(
         _TEMPLATE,
         first_line=what_they_are(known),
+        known=known,
         metrics=metrics,
         columns=columns,
         paper=paper,
@@ -155,17 +152,11 @@ def captures_page(
         seeds_in_words=seeds_in_words,
         plot=svg_uri(_cumulative(found)),
         models=[
-            {
-                "label": f"{label(rows[0])}, seed {seed}".replace("_", " "),
-                "rows": pair_medians(rows),
-            }
+            (f"{label(rows[0])}, seed {seed}".replace("_", " "), pair_medians(rows))
             for of_model in grouped(found, "model", "trained_on").values()
             for seed, rows in islice(grouped(of_model, "seed").items(), 1)
         ],
-        strips=[_strip(dataset, rows[0]) for rows in grouped(known, "pair").values()],
-        captures=len(known),
-        pairs=len({row["pair"] for row in known}),
-        notes=[f"{row['video']}: {row['notes']}" for row in known if row["notes"]],
+        strips=[(rows[0], _strip(dataset, rows[0])) for rows in grouped(known, "pair").values()],
     )
 
 
@@ -209,13 +200,8 @@ def _cumulative(found: Sequence[Mapping[str, Any]]) -> Figure:
     return figure
 
 
-def _strip(dataset: Path, row: Mapping[str, Any]) -> dict[str, Any]:
+def _strip(dataset: Path, row: Mapping[str, Any]) -> list[str]:
     """Some frames of a capture as the networks see them."""
     file = dataset / f"{row['video'].rsplit('_', 2)[0]}.parquet"
     images = [png for _, _, png in read_frames(file)]
-    reference = number(row["mu_ref"], row["mu_ref_error"])
-    mirrors = ", reflective" if row["reflective"] else ""
-    return {
-        "title": f"{row['material']} on {row['substrate']}, µ = {reference}{mirrors}",
-        "images": [data_uri(image) for image in evenly(images, _FRAMES_SHOWN)],
-    }
+    return [data_uri(image) for image in evenly(images, _FRAMES_SHOWN)]

@@ -49,10 +49,7 @@ class CameraCheck:
 def check_camera(
     camera: str | Path, model: str | Path | None = None, config: str | Path | None = None
 ) -> CameraCheck:
-    """Compare a camera's place with an instrument's training poses, its view with the track.
-
-    Camera, model and configuration as for `measuring_bench`; BadInput if a file cannot be used.
-    """
+    """Compare a camera's place with the training poses, its view with the track; else BadInput."""
     bench = opened_bench(camera, model, config)
     model = Path(model or SHIPPED)
     tested = bench.pose_range or {name: [0.0, 0.0] for name in POSE}

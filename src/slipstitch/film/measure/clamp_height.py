@@ -24,19 +24,12 @@ EXACT_M = 0.0006
 
 @dataclass(frozen=True)
 class ClampHeight:
-    """Height of the lowered clamps above the substrate, as it was measured.
-
-    Attributes
-    ----------
-    height_m, error_m : measured height and its standard deviation.
-    protocol_m : the height that the protocol says.
-    source : who measured it.
-    """
+    """Height of the lowered clamps above the substrate, as it was measured."""
 
     height_m: float
-    error_m: float
-    protocol_m: float
-    source: str = "told"
+    error_m: float  # standard deviation
+    protocol_m: float  # what the protocol says
+    source: str = "told"  # who measured it
 
     def __post_init__(self):
         within = [1e3 * (self.protocol_m + sign * FURTHEST_M) for sign in (-1, 1)]

@@ -269,10 +269,7 @@ def measured_pair(
     start_s: float | None = None,
     frame_rate_hz: float | None = None,
 ) -> MeasuredPair:
-    """Measure videos of one pair, at least one, each once; options as for `MeasuringBench.measure`.
-
-    BadInput if a video is given twice, or none could be measured: the first one's problem.
-    """
+    """Measure videos of one pair; BadInput if one is given twice, or none could be measured."""
     names = names_of(videos)
     _refuse_copies(videos)
     measured: list[MeasuredVideo] = []
@@ -335,10 +332,7 @@ def _refuse_copies(videos: Sequence[Path]) -> None:
 
 
 def names_of(videos: Sequence[Path]) -> list[str]:
-    """As much of each path, from its end, as tells the videos from one another.
-
-    BadInput if a video is given twice.
-    """
+    """As much of each path's end as tells the videos apart; BadInput if one is given twice."""
     files = [Path(video).resolve() for video in videos]
     for index, file in enumerate(files):
         if file in files[:index]:

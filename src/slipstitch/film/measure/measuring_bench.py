@@ -195,10 +195,7 @@ class MeasuringBench:
     def measure(
         self, path: str | Path, *, start_s: float | None = None, frame_rate_hz: float | None = None
     ) -> MeasuredVideo:
-        """Measure one video; start and frame rate as for `read_stage_video`.
-
-        BadInput if the video cannot be used, or does not show the protocol.
-        """
+        """Measure one video as `read_stage_video` reads it; BadInput if it cannot be used."""
         video = read_stage_video(
             path,
             self.lens,
@@ -324,11 +321,7 @@ def _trained_height_error_m(lens: Camera) -> float:
 
 
 def shipped_for(config: Config) -> Path | None:
-    """Return the folder of the instrument that comes with Slipstitch, if a dataset is its kind.
-
-    Its kind of video: the stage's path, the times of the frames and the calibrated viewpoint of
-    its training.
-    """
+    """Return the shipped instrument's folder, if a dataset has its path, times and viewpoint."""
     trained, videos = (
         Schedule.of(one.simulation, one.render, one.sample)
         for one in (load_config(SHIPPED / "config.json"), config)

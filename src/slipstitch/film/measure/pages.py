@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from slipstitch.base.page.figures import data_uri, new_figure, plain_text, styled, svg_element
 from slipstitch.base.page.palette import BLUE, FRAME, INK, INTERVAL, SOFT, VERMILION
 from slipstitch.base.page.templates import render
-from slipstitch.base.page.wording import number, percent, span
+from slipstitch.base.page.wording import percent, span
 from slipstitch.film.measure.measuring_bench import MeasuredVideo
 from slipstitch.images.encoding import encode_png
 from slipstitch.learning.instrument.poses import TITLES, shown
@@ -47,44 +47,25 @@ def _frames(result: MeasuredVideo) -> list[dict]:
 
 
 def measurement_page(result: MeasuredVideo, known: dict[str, Any] | None = None) -> str:
-    """The page as HTML; it needs no other file.
-
-    Parameters
-    ----------
-    known : dict, optional
-        Of the example: the true fabric, substrate and friction.
-    """
-    measured, video, bench = result.measurement, result.video, result.bench
-    weights = np.asarray(measured.attention_weights, dtype=float)
-    frames = _frames(result)
-    materials = sorted(measured.material_probabilities.items(), key=lambda item: -item[1])
+    """The page as HTML; of the example also what is `known`: fabric, substrate and friction."""
+    weights = np.asarray(result.measurement.attention_weights, dtype=float)
+    materials = result.measurement.material_probabilities
+    shape = svg_element(_distribution(result, known), "Distribution of the friction coefficient")
+    path = svg_element(_timeline(result, weights), "Path of the stage and weight of each frame")
     return render(
         _OF_ONE,
-        name=result.name,
-        mu=number(measured.friction_coefficient),
-        uncertainty=number(result.uncertainty),
-        interval=span(measured.interval_90),
-        without_error_bar=result.without_error_bar,
-        notes=result.notes,
-        materials=materials,
-        alarm=result.alarm_reason,
-        frames=frames,
-        decisive=[frame["time"] for frame in frames if frame["decisive"]],
-        distribution=svg_element(
-            _distribution(result, known), "Distribution of the friction coefficient"
-        ),
+        result=result,
+        measured=result.measurement,
+        video=result.video,
+        bench=result.bench,
+        materials=sorted(materials.items(), key=lambda item: -item[1]),
+        frames=_frames(result),
+        distribution=shape,
+        timeline=path,
         known=known,
-        timeline=svg_element(
-            _timeline(result, weights), "Path of the stage and weight of each frame"
-        ),
-        start=video.start,
-        video=video,
-        instrument=result.instrument[:12],
-        bench=bench,
         titles=TITLES,
         shown=shown,
-        height_of_clamps=result.height_of_clamps,
-        rings=result.keypoints_px is not None,
+        span=span,
     )
 
 
@@ -135,29 +116,15 @@ def _timeline(result: MeasuredVideo, weights: np.ndarray) -> Figure:
 
 def repeats_page(pair: "MeasuredPair") -> str:
     """The page as HTML; it needs no other file."""
-    together = pair.together
     return render(
         _OF_REPEATS,
         pair=pair,
-        mu=number(together.friction_coefficient) if together else None,
-        error_bar=pair.without_error_bar
-        or (f"90 % interval {span(together.interval_90)}" if together else None),
-        outliers=pair.names(pair.outliers),
-        scatter=number(together.scatter) if together else None,
         figure=svg_element(_figure(pair), "Friction of each video with its interval"),
         rows=[
-            {
-                "name": video.name,
-                "mu": number(video.measurement.friction_coefficient),
-                "interval": video.without_error_bar or span(video.measurement.interval_90),
-                "fabric": f"{video.fabric[0]} ({percent(video.fabric[1], digits=0)})",
-                "alarm": video.alarm_reason,
-                "notes": video.notes,
-                "frames": [frame for frame in _frames(video) if frame["decisive"]],
-            }
+            (video, [frame for frame in _frames(video) if frame["decisive"]])
             for video in pair.videos
         ],
-        instrument=pair.videos[0].instrument[:12],
+        span=span,
     )
 
 
