@@ -58,17 +58,21 @@ SCHEMA = pa.schema(
 )
 
 
+def _renamed(name: str, others: Mapping[str, str]) -> str:
+    """The name that others have for one, fine-tuned or not."""
+    base = name.removesuffix(CALIBRATED)
+    return others.get(base, base) + name[len(base) :]
+
+
 def entries_of(network: str) -> str:
     """Return the entry of metrics.json that has the scores of a network."""
-    of_network = {MATERIAL: "lrcn_baseline"} | {name: entry for entry, name in MODELS.items()}
-    base = network.removesuffix(CALIBRATED)
-    return of_network.get(base, base) + network[len(base) :]
+    of_friction = {name: entry for entry, name in MODELS.items()}
+    return _renamed(network, {MATERIAL: "lrcn_baseline"} | of_friction)
 
 
 def network_of(model: str) -> str:
     """Return the network whose scores of friction an entry of metrics.json has."""
-    base = model.removesuffix(CALIBRATED)
-    return MODELS.get(base, base) + model[len(base) :]
+    return _renamed(model, MODELS)
 
 
 def predicts_material_alone(network: str) -> bool:
@@ -102,10 +106,7 @@ def answers_of(rows: Sequence[Row]) -> PredictionsAndTruth:
 
 
 def scores(rows: Sequence[Row]) -> dict[str, float]:
-    """Return the scores of one model and seed on some videos: those of test sets in `METRICS`.
-
-    Of an instrument also ``alarm_rate`` and, with several simulations, ``coverage_90_error``.
-    """
+    """Return one model's and seed's scores: `METRICS` of test sets, an instrument's own two."""
     answers = answers_of(rows)
     result: dict[str, float] = {}
     if not predicts_material_alone(rows[0]["network"]):

@@ -4,9 +4,8 @@ Probes ask what a single frame tells, and what must tell nothing.
 """
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
 from itertools import compress
 from pathlib import Path
 from typing import Any
@@ -28,7 +27,7 @@ from slipstitch.dataset.probes import (
     standardised,
     untold_features,
 )
-from slipstitch.dataset.videos import Videos, read_frames, read_videos, takes_part, test_only
+from slipstitch.dataset.videos import Videos, read_frames, read_videos, test_only
 from slipstitch.learning.evaluation.scores import PROBE as PREFIX
 from slipstitch.learning.prediction import classes_of, labels_of
 
@@ -42,7 +41,17 @@ class EvaluationSet:
 
     name: str
     trained_on: str
-    holds: Callable[[Row], bool]
+    unseen: str = ""  # the one kind of `ROLES` of which they show what no network trains on
+    of_split: str = ""  # whose test videos alone they are
+    turn_deg: float | None = None  # of their view
+
+    def holds(self, row: Row) -> bool:
+        """Return whether the video of a manifest row is one."""
+        return (
+            test_only(row) == ({self.unseen} if self.unseen else set())
+            and (not self.of_split or row[f"split_{self.of_split}"] == "test")
+            and self.turn_deg in (None, row["viewpoint_turn_deg"])
+        )
 
 
 def evaluation_sets(rows: list[Row]) -> list[EvaluationSet]:
@@ -56,30 +65,18 @@ def evaluation_sets(rows: list[Row]) -> list[EvaluationSet]:
     training set, with the networks that have not learnt from it, and with those that have.
     """
 
-    def of_split(split: str, row: Row) -> bool:
-        return takes_part(row) and row[f"split_{split}"] == "test"
-
-    def unseen(kind: str, row: Row) -> bool:
-        return test_only(row) == {kind}
-
-    def turned(turn_deg: float, row: Row) -> bool:
-        return test_only(row) == {"viewpoint"} and row["viewpoint_turn_deg"] == turn_deg
-
-    def mirrored(row: Row) -> bool:
-        return test_only(row) == {"floor"} and row["split_by_video"] == "test"
-
     turns = {row["viewpoint_turn_deg"] for row in rows if row["viewpoint_role"] == "test"}
     sets = [
-        *(EvaluationSet(split, split, partial(of_split, split)) for split in SPLITS),
-        EvaluationSet("off_grid", "by_simulation", partial(unseen, "friction")),
-        EvaluationSet("unseen_texture", "by_video", partial(unseen, "texture")),
-        EvaluationSet("unseen_fabric", "by_simulation", partial(unseen, "material")),
+        *(EvaluationSet(split, split, of_split=split) for split in SPLITS),
+        EvaluationSet("off_grid", "by_simulation", "friction"),
+        EvaluationSet("unseen_texture", "by_video", "texture"),
+        EvaluationSet("unseen_fabric", "by_simulation", "material"),
         *(
-            EvaluationSet(f"view_{turn:+.0f}", "by_video", partial(turned, turn))
+            EvaluationSet(f"view_{turn:+.0f}", "by_video", "viewpoint", turn_deg=turn)
             for turn in sorted(turns)
         ),
-        EvaluationSet("reflective_floors", "by_video", mirrored),
-        EvaluationSet(REFLECTIVE, REFLECTIVE, mirrored),
+        EvaluationSet("reflective_floors", "by_video", "floor", "by_video"),
+        EvaluationSet(REFLECTIVE, REFLECTIVE, "floor", "by_video"),
     ]
     return [test for test in sets if any(map(test.holds, rows))]
 

@@ -45,8 +45,8 @@ class Trained:
         """Splits that count."""
         return TRAINED_ON if self.train is None else self.train.splits
 
-    def weights(self) -> dict[str, list[Path]]:
-        """Return the files of weights of every kind of model."""
+    def files(self) -> dict[str, list[Path]]:
+        """Return the files that the predictions of every kind of model depend on."""
         found: dict[str, list[Path]] = {NETWORKS_KIND: [], TRAINING: [], AVERAGE: []}
         if self.shipped is not None:
             found[SHIPPED] = [Path(self.shipped, INSTRUMENT_WEIGHTS)]
@@ -55,11 +55,13 @@ class Trained:
                 (name, f"seed{seed}") for name, seed in trainings(self.train, split)
             }
             found[NETWORKS_KIND] += [
-                path
+                file
                 for network in NETWORKS
                 for place in sorted(Path(self.networks, split, network).glob("seed*"))
-                for path in (place / WEIGHTS, place / ALL_VIEWS / WEIGHTS)
-                if path.is_file() and (wanted is None or (network, place.name) in wanted)
+                for folder in (place, place / ALL_VIEWS)
+                for file in (folder / WEIGHTS, folder / CARD)
+                if (folder / WEIGHTS).is_file()
+                and (wanted is None or (network, place.name) in wanted)
             ]
         seeds = self.instrument_seeds
         for split in self.splits if self.instruments is not None else ():
@@ -74,26 +76,18 @@ class Trained:
                 found[AVERAGE] += sorted(folder.glob(f"{ENSEMBLE}/{INSTRUMENT_WEIGHTS}"))
         return found
 
-    def files(self) -> dict[str, list[Path]]:
-        """Return the files that the predictions of every kind of model depend on."""
-        found = self.weights()
-        found[NETWORKS_KIND] = [
-            path.with_name(name) for path in found[NETWORKS_KIND] for name in (WEIGHTS, CARD)
-        ]
-        return found
-
     def load(self, without: frozenset[str] = frozenset()) -> dict[Key, LrcnModel | Instrument]:
         """Return the models but those of some kinds; BadInput if one is not what its place says."""
-        weights = self.weights()
+        files = self.files()
         models: dict[Key, LrcnModel | Instrument] = {}
         if self.networks is not None and NETWORKS_KIND not in without:
-            models |= _networks(weights[NETWORKS_KIND])
+            models |= _networks([path for path in files[NETWORKS_KIND] if path.name == WEIGHTS])
             if not models:
                 raise BadInput(
                     f"{self.networks}: no models found "
                     f"({{split}}/{{network}}/seed{{seed}}/{WEIGHTS})"
                 )
-        instruments = _instruments(weights[TRAINING], weights[AVERAGE])
+        instruments = _instruments(files[TRAINING], files[AVERAGE])
         models |= {key: one for key, one in instruments.items() if key[1] not in without}
         if self.shipped is not None and SHIPPED not in without:
             instrument = load_instrument(self.shipped)
