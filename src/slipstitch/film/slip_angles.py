@@ -14,7 +14,6 @@ Student's. With 3 to 7 degrees of freedom, and a bound of 0 to 8 standard errors
 94.4 to 95.9 %; the effective degrees of freedom of JCGM 100:2008 (GUM, G.4) 93.8 to 99.4 %.
 """
 
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -34,6 +33,7 @@ from slipstitch.film.csv_table import TableColumn, name, number, read_table, who
 
 COVERAGE = 0.95
 _FEWEST = 3
+_OF_MEASUREMENT = ["material", "substrate", "position", "orientation", "repeat"]
 _LARGEST_CONDITION = 1e10
 
 
@@ -51,53 +51,39 @@ class SlipAngles:
 
 
 def read_angles(path: str | Path) -> list[SlipAngles]:
-    """Slip angles by pair, in the order of the table.
-
-    BadInput if a cell is wrong, a measurement is there twice, or a pair has two bench errors.
-    """
-    rows = read_table(
-        path,
-        [
-            TableColumn("material", name),
-            TableColumn("substrate", name),
-            TableColumn("position", name),
-            TableColumn("orientation", name),
-            TableColumn("repeat", whole_number(9999)),
-            TableColumn("angle_deg", number(0, 85, open_ends=True)),
-            TableColumn("bench_error_deg", number(0, 10)),
-        ],
-    )
-    lines: dict[tuple, int] = {}
-    pairs: dict[tuple[str, str], list[dict]] = defaultdict(list)
-    for row in rows:
-        key = tuple(row[title] for title in ("material", "substrate", "position", "orientation"))
-        key += (row["repeat"],)
-        if key in lines:
-            raise BadInput(f"{path} line {row['line']}: duplicates line {lines[key]}")
-        lines[key] = row["line"]
-        pair = pairs[key[:2]]
-        if pair and pair[0]["bench_error_deg"] != row["bench_error_deg"]:
-            raise BadInput(
-                f"{path} line {row['line']}: {key[0]} on {key[1]} differs in bench_error_deg "
-                f"from line {pair[0]['line']}"
-            )
-        pair.append(row)
-    for (material, substrate), measured in pairs.items():
-        if in_radians(row["angle_deg"] for row in measured):
-            raise BadInput(
-                f"{path}: {material} on {substrate}: no angle_deg reaches 2; angles in radians?"
-            )
-    return [
-        SlipAngles(
-            material,
-            substrate,
-            [row["position"] for row in measured],
-            [row["orientation"] for row in measured],
-            np.radians([row["angle_deg"] for row in measured]),
-            float(np.radians(measured[0]["bench_error_deg"])),
-        )
-        for (material, substrate), measured in pairs.items()
+    """Slip angles by pair, in the table's order; BadInput if a cell is wrong or given twice."""
+    columns = [
+        *(TableColumn(title, name) for title in _OF_MEASUREMENT[:-1]),
+        TableColumn("repeat", whole_number(9999)),
+        TableColumn("angle_deg", number(0, 85, open_ends=True)),
+        TableColumn("bench_error_deg", number(0, 10)),
     ]
+    rows = pandas.DataFrame(read_table(path, columns))
+    for _, same in rows.groupby(_OF_MEASUREMENT, sort=False):
+        if len(same) > 1:
+            first, again, *_ = same["line"]
+            raise BadInput(f"{path} line {again}: duplicates line {first}")
+    found = []
+    for (material, substrate), measured in rows.groupby(_OF_MEASUREMENT[:2], sort=False):
+        pair, bench_error_deg = f"{material} on {substrate}", measured["bench_error_deg"]
+        for line in measured["line"][bench_error_deg != bench_error_deg.iloc[0]]:
+            raise BadInput(
+                f"{path} line {line}: {pair} differs in bench_error_deg from line "
+                f"{measured['line'].iloc[0]}"
+            )
+        if in_radians(measured["angle_deg"]):
+            raise BadInput(f"{path}: {pair}: no angle_deg reaches 2; angles in radians?")
+        found.append(
+            SlipAngles(
+                str(material),
+                str(substrate),
+                measured["position"].tolist(),
+                measured["orientation"].tolist(),
+                np.radians(measured["angle_deg"].to_numpy()),
+                float(np.radians(bench_error_deg.iloc[0])),
+            )
+        )
+    return found
 
 
 @dataclass(frozen=True)
@@ -127,10 +113,7 @@ class Reference:
 
 
 def estimate(angles: SlipAngles) -> Reference:
-    """Friction of one pair.
-
-    BadInput with fewer than three measurements, or too few to tell orientations from scatter.
-    """
+    """Friction of one pair; BadInput if too few angles tell orientations from scatter."""
     where = f"{angles.material} on {angles.substrate}"
     values = np.tan(angles.angle_rad)
     positions, orientations = _levels(angles.position), _levels(angles.orientation)
@@ -143,8 +126,8 @@ def estimate(angles: SlipAngles) -> Reference:
         )
     # The first column is the plain mean of the orientations.
     design = np.column_stack([np.ones(len(values)), orientations[:, 1:] - orientations[:, :1]])
-    mixed = _Mixed(values, design, positions)
-    mu, standard_error, dof = mixed.mean(where)
+    tau2, sigma2 = _variances(values, design, positions)
+    mu, standard_error, dof = _mean(values, design, positions, tau2, sigma2, where)
     bench = (1 + mu**2) * angles.bench_error_rad
     student = float(stats.t.ppf((1 + COVERAGE) / 2, dof)) * standard_error
     error = np.hypot(student, COVERAGE * bench)
@@ -157,8 +140,8 @@ def estimate(angles: SlipAngles) -> Reference:
         standard_error,
         dof,
         float(bench),
-        mixed.position_sd,
-        mixed.repeat_sd,
+        None if tau2 is None else float(np.sqrt(max(tau2, 0.0))),
+        float(np.sqrt(sigma2)),
         _f_test(values, everything, design),
         _f_test(values, everything, positions),
         _means(values, angles.position),
@@ -194,82 +177,73 @@ def _f_test(values: np.ndarray, full: np.ndarray, reduced: np.ndarray) -> float 
     return float(stats.f.sf(ratio, extra, left))
 
 
-class _Mixed:
-    """y = design b + positions u + e by restricted maximum likelihood."""
+def _variances(
+    values: np.ndarray, design: np.ndarray, positions: np.ndarray
+) -> tuple[float | None, float]:
+    """tau^2 and sigma^2 of y = design b + positions u + e by restricted maximum likelihood.
 
-    def __init__(self, values: np.ndarray, design: np.ndarray, positions: np.ndarray):
-        self.values, self.design = values, design
-        self.positions, self.counts = positions, positions.sum(axis=0)
-        self.shared = positions @ positions.T
-        self.identity = np.eye(len(values))
-        # With one position, or one measurement at each, positions cannot be separated from repeats.
-        self.one_variance = positions.shape[1] < 2 or self.counts.max() == 1
-        if self.one_variance:
-            left = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
-            variance = float(left @ left) / (len(values) - np.linalg.matrix_rank(design))
-            self.tau2, self.sigma2 = 0.0, variance
-            return
-        # sigma^2 + n tau^2 is the variance of a position's mean, times n: it must be positive.
-        lowest = -1 / float(self.counts.max()) + 1e-6
-        # On a scale on which the profile of the likelihood is smooth up to large ratios.
-        grid = np.concatenate([np.linspace(lowest, 0, 14), np.geomspace(1e-2, 1e4, 22)])
-        costs = [self._cost(ratio)[0] for ratio in grid]
-        best = int(np.argmin(costs))
-        around = (grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)])
-        found = optimize.minimize_scalar(
-            lambda ratio: self._cost(ratio)[0], bounds=around, method="bounded"
-        )
-        self.sigma2 = self._cost(found.x)[1]
-        self.tau2 = float(found.x) * self.sigma2
+    None and the variance of both together where they cannot be separated: with one position, or
+    one measurement at each.
+    """
+    counts, free = positions.sum(axis=0), len(values) - design.shape[1]
+    if positions.shape[1] < 2 or counts.max() == 1:
+        left = values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
+        return None, float(left @ left) / (len(values) - np.linalg.matrix_rank(design))
 
-    def _cost(self, ratio: float) -> tuple[float, float]:
+    def cost(ratio: float) -> tuple[float, float]:
         """-2 log of the restricted likelihood at tau^2 / sigma^2, and its sigma^2."""
         # (1 + ratio Z Z')^-1 = 1 - Z (ratio / (1 + n ratio)) Z', one n a position.
-        scale = 1 + ratio * self.counts
+        scale = 1 + ratio * counts
 
         def weighted(columns: np.ndarray) -> np.ndarray:
-            inner = (self.positions.T @ columns).T * (ratio / scale)
-            return columns - self.positions @ inner.T
+            inner = (positions.T @ columns).T * (ratio / scale)
+            return columns - positions @ inner.T
 
-        by_design = weighted(self.design)
-        information = self.design.T @ by_design
-        coefficients = np.linalg.solve(information, by_design.T @ self.values)
-        left: np.ndarray = self.values - self.design @ coefficients
-        free = len(self.values) - self.design.shape[1]
+        by_design = weighted(design)
+        information = design.T @ by_design
+        coefficients = np.linalg.solve(information, by_design.T @ values)
+        left: np.ndarray = values - design @ coefficients
         sigma2 = max(float(left @ weighted(left)) / free, 1e-300)
-        cost = np.log(scale).sum() + np.linalg.slogdet(information)[1] + free * np.log(sigma2)
-        return float(cost), sigma2
+        found = np.log(scale).sum() + np.linalg.slogdet(information)[1] + free * np.log(sigma2)
+        return float(found), sigma2
 
-    @property
-    def position_sd(self) -> float | None:
-        return None if self.one_variance else float(np.sqrt(max(self.tau2, 0.0)))
+    # sigma^2 + n tau^2 is the variance of a position's mean, times n: it must be positive.
+    lowest = -1 / float(counts.max()) + 1e-6
+    # On a scale on which the profile of the likelihood is smooth up to large ratios.
+    grid = np.concatenate([np.linspace(lowest, 0, 14), np.geomspace(1e-2, 1e4, 22)])
+    best = int(np.argmin([cost(ratio)[0] for ratio in grid]))
+    around = (grid[max(best - 1, 0)], grid[min(best + 1, len(grid) - 1)])
+    found = optimize.minimize_scalar(lambda ratio: cost(ratio)[0], bounds=around, method="bounded")
+    sigma2 = cost(found.x)[1]
+    return float(found.x) * sigma2, sigma2
 
-    @property
-    def repeat_sd(self) -> float:
-        return float(np.sqrt(self.sigma2))
 
-    def mean(self, where: str) -> tuple[float, float, float]:
-        """The mean, its standard error, and Satterthwaite's degrees of freedom."""
-        covariance = self.sigma2 * self.identity + self.tau2 * self.shared
-        inverse = np.linalg.inv(covariance)
-        spread = np.linalg.inv(self.design.T @ inverse @ self.design)
-        weights = spread @ self.design.T @ inverse
-        mu, variance = float(weights[0] @ self.values), float(spread[0, 0])
-        parts = [self.identity] if self.one_variance else [self.identity, self.shared]
-        # How the variance of mu moves with sigma^2 and tau^2, and how well these are known.
-        moves = np.array([weights[0] @ part @ weights[0] for part in parts])
-        projection = inverse - inverse @ self.design @ weights
-        known = np.array(
-            [[np.trace(projection @ a @ projection @ b) / 2 for b in parts] for a in parts]
+def _mean(
+    values: np.ndarray, design: np.ndarray, positions: np.ndarray, tau2: float | None,
+    sigma2: float, where: str,
+) -> tuple[float, float, float]:  # fmt: skip
+    """The mean, its standard error, and Satterthwaite's degrees of freedom."""
+    parts = [np.eye(len(values)), positions @ positions.T]
+    covariance = sigma2 * parts[0] + (tau2 or 0.0) * parts[1]
+    parts = parts[: 1 if tau2 is None else 2]
+    inverse = np.linalg.inv(covariance)
+    spread = np.linalg.inv(design.T @ inverse @ design)
+    weights = spread @ design.T @ inverse
+    mu, variance = float(weights[0] @ values), float(spread[0, 0])
+    # How the variance of mu moves with sigma^2 and tau^2, and how well these are known.
+    moves = np.array([weights[0] @ part @ weights[0] for part in parts])
+    projection = inverse - inverse @ design @ weights
+    known = np.array(
+        [[np.trace(projection @ a @ projection @ b) / 2 for b in parts] for a in parts]
+    )
+    # Also where it is no number: repeats that are equal leave no scatter to compare with.
+    if not np.isfinite(known).all() or np.linalg.cond(known) > _LARGEST_CONDITION:
+        raise BadInput(
+            f"{where}: the effects of positions, orientations and repeats cannot be separated: "
+            "measure every orientation at several positions, with independent repeats"
         )
-        # Also where it is no number: repeats that are equal leave no scatter to compare with.
-        if not np.isfinite(known).all() or np.linalg.cond(known) > _LARGEST_CONDITION:
-            raise BadInput(
-                f"{where}: the effects of positions, orientations and repeats cannot be separated: "
-                "measure every orientation at several positions, with independent repeats"
-            )
-        scatter = float(moves @ np.linalg.solve(known, moves))
-        return mu, float(np.sqrt(variance)), 2 * variance**2 / scatter
+    scatter = float(moves @ np.linalg.solve(known, moves))
+    return mu, float(np.sqrt(variance)), 2 * variance**2 / scatter
 
 
 # Black is the estimate.
