@@ -60,13 +60,7 @@ class Board:
     def named(
         cls, kind: str, squares: str, square_mm: float, marker_mm: float | None, dictionary: str
     ) -> "Board":
-        """A board from the words of the command line.
-
-        Raises
-        ------
-        BadInput
-            If no such board exists.
-        """
+        """A board from the words of the command line; BadInput if no such board exists."""
         found = re.fullmatch(r"(\d{1,3})x(\d{1,3})", squares)
         size = (int(found[1]), int(found[2])) if found else (0, 0)
         if min(size) < 4 or max(size) > _MOST_SQUARES:
@@ -147,10 +141,7 @@ class Board:
 
 
 def _small_image(grey: np.ndarray) -> tuple[np.ndarray, float]:
-    """An image no wider than is needed to see a board in it, and its share of the width.
-
-    The thorough search takes seconds on a large image without a board.
-    """
+    """An image as wide as is needed to see a board in it soon, and its share of the width."""
     shrink = min(1.0, _SEARCH_PX / grey.shape[1])
     return cv2.resize(grey, None, fx=shrink, fy=shrink, interpolation=cv2.INTER_AREA), shrink
 

@@ -218,11 +218,7 @@ class StagePose:
 def stage_pose(
     lens: Lens, grey: np.ndarray, board: Board, place: FloorPlace, name: str
 ) -> StagePose:
-    """Return the position of a camera, from one image (rows, columns) of the board on the floor.
-
-    BadInput if the image has another size, no board is found in it, or no camera of a bench
-    could stand where this one would.
-    """
+    """Return the position of a camera, from one image of the board on the floor; else BadInput."""
     if grey.shape[::-1] != tuple(lens.size_px):
         raise BadInput(
             f"{name}: {grey.shape[1]}x{grey.shape[0]} pixels; the lens was calibrated with "
@@ -264,10 +260,7 @@ def _place_derivative(rvec: np.ndarray, tvec: np.ndarray) -> np.ndarray:
 
 
 def _height_sd_m(rvec, tvec, model, covariance: np.ndarray) -> float:
-    """How well the camera tells the height of an edge across the track at the clamps' first place.
-
-    Its rotation vector and translation have this covariance (6, 6).
-    """
+    """How well a camera, its place of this covariance (6, 6), tells the height of an edge there."""
     step_m = 0.001
     edge = np.array([0.0, 0.0, StagePath().lowered_height_m]) + step_m * np.eye(4, 3, -1)
     seen, jacobian = cv2.projectPoints(edge, rvec, tvec, *model)

@@ -49,10 +49,7 @@ def label(row: Row) -> str:
 
 
 def pair_medians(rows: Sequence[Row]) -> list[dict[str, Any]]:
-    """Return a row per pair: reference, predictions of the repeats, their median and its error.
-
-    Of one model's and seed's predictions.
-    """
+    """Return for each pair reference, one seed's predictions, their median and its error."""
     result = []
     for pair, repeats in sorted(grouped(rows, "pair").items()):
         first = repeats[0]

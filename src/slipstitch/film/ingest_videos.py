@@ -100,17 +100,13 @@ def _write_video(
     """Write one capture's frames; return its row of the manifest."""
     started = start_clock()
     name = f"{capture.id}_{_TEXTURE}_{_VIEW}"
-    same = {
-        "video": name,
-        "simulation": capture.id,
-        "texture": _TEXTURE,
-        "viewpoint": _VIEW,
-        "material": capture.material,
-        "friction": capture.mu_ref,
-    }
+    of_both: dict[str, Any] = {"video": name, "simulation": capture.id}
+    of_both |= {"material": capture.material, "friction": capture.mu_ref}
     images = [
         {
-            **same,
+            **of_both,
+            "texture": _TEXTURE,
+            "viewpoint": _VIEW,
             "position": k,
             "frame": int(schedule.frame[k]),
             "time_s": float(video.time_s[k]),
@@ -123,26 +119,21 @@ def _write_video(
     write_frames(images, out_dir / file, _record(config, [capture.video, capture.camera], started))
     known = capture.material in fabric_names()
     return {
-        "video": name,
-        "simulation": capture.id,
+        **of_both,
         "material_id": material_id(capture.material) if known else "other",
         "friction_id": capture.pair,
         "replicate_id": f"r{capture.repeat:02d}",
         "texture_id": _TEXTURE,
         "viewpoint_id": _VIEW,
-        "material": capture.material,
-        "friction": capture.mu_ref,
         "texture": "its own",
         "viewpoint": "calibrated",
         **dict.fromkeys([f"{kind}_role" for kind in ROLES], "test"),
         "viewpoint_turn_deg": 0.0,
         **{f"pose_{name}": value for name, value in video.pose.items()},
         "floor": capture.substrate,
-        "floor_reflectance": None,
-        "floor_roughness": None,
+        **dict.fromkeys(("floor_reflectance", "floor_roughness")),
         "interpolated": False,
-        "split_by_video": "test",
-        "split_by_simulation": "test",
+        **dict.fromkeys(("split_by_video", "split_by_simulation"), "test"),
         "frames": len(images),
         "pixels": schedule.pixels,
         "pixels_sha256": pixels_digest(video.frames),

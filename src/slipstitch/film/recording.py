@@ -1,5 +1,6 @@
 """Reading a video frame by frame, with its timestamps and without trusting its header."""
 
+import codecs
 import functools
 import itertools
 import math
@@ -162,10 +163,7 @@ class Recording:
         return (frame.width, frame.height) == self.size_px
 
     def some(self, index: FrameIndex, needed: Collection[int]) -> Iterator[tuple[int, Moment]]:
-        """The frames of these numbers in turn, those of them that can be decoded.
-
-        Beside a frame, only what comes between a key frame and the frame is decoded.
-        """
+        """The frames of these numbers that can be decoded; the others only from a key frame on."""
         if index.timestamp is None:
             yield from (one for one in enumerate(self.moments()) if one[0] in needed)
             return
@@ -240,11 +238,8 @@ def _frames_claimed(video: av.container.InputContainer) -> int:
 
 def _is_text(content: bytes) -> bool:
     """Whether bytes are text: no video format does without bytes below 9."""
-    try:
-        text = content.decode("utf-8")
-    except UnicodeDecodeError as error:
-        # A character may be cut at the end.
-        if error.start < len(content) - 4:
-            return False
-        text = content[: error.start].decode("utf-8")
+    try:  # not to the end, where a character may be cut
+        text = codecs.getincrementaldecoder("utf-8")().decode(content)
+    except UnicodeDecodeError:
+        return False
     return not any(ord(letter) < 9 for letter in text)

@@ -128,11 +128,7 @@ def vertex_of_parabola(before: np.ndarray, at: np.ndarray, after: np.ndarray) ->
 
 
 def find_start(moments: Iterable[Moment], lens: Camera, schedule: Schedule) -> StageStart | None:
-    """Time at which the stage starts to descend; None if it never does.
-
-    The cloth hangs still for 2 s at least before the start. No more than some seconds of small
-    images are kept.
-    """
+    """When the stage starts to descend, after 2 s at rest at least; None if it never does."""
     search = Search(lens, schedule)
     for moment in moments:
         if search.add(moment.time_s, moment.image):
@@ -332,10 +328,7 @@ def _rate_and_repeats(recording: Recording, from_s: float) -> tuple[float, float
 
 
 def start_is_seen(recording: Recording, lens: Camera, schedule: Schedule, start_s: float) -> bool:
-    """Return whether the stage starts where it is stated to; BadInput if only elsewhere.
-
-    A film may show another start before the one that counts.
-    """
+    """Return whether the stage starts, perhaps again, where stated; BadInput if elsewhere."""
     moments, seen_s = recording.moments(), []
     while found := find_start(moments, lens, schedule):
         if found.speed_is_right:

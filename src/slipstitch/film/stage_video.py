@@ -170,10 +170,7 @@ def _seen_too_little(shares: np.ndarray, time_s: np.ndarray) -> str:
 
 
 def problem_of_view(lens: Camera, schedule: Schedule, shares: np.ndarray) -> str:
-    """Why a camera sees too little of the crops, or too coarsely; empty where it sees enough.
-
-    ``shares`` (n,) as `seen_shares` gives them.
-    """
+    """Why a camera sees too little, by its `seen_shares`, or too coarsely; empty if it does not."""
     return _seen_too_little(shares, schedule.time_s) or _seen_too_coarsely(lens, schedule)
 
 
@@ -204,10 +201,6 @@ def _check_size(recording: Recording, lens: Camera) -> None:
     )
 
 
-class _DamagedFrameError(Exception):
-    """A frame that the container lists cannot be decoded."""
-
-
 def _choose(
     recording: Recording,
     protocol_s: np.ndarray,
@@ -219,13 +212,15 @@ def _choose(
     A follower is shown the frames that it chooses on the way. Only what these need is decoded,
     where the container lists its frames and all of them turn out to be sound.
     """
-    wanted_s, follower = start_s + protocol_s, new_follower()
     if recording.listed is not None:
-        try:
-            return *_chosen(recording, recording.listed, wanted_s, start_s, follower), follower
-        except _DamagedFrameError:
-            follower = new_follower()
-    return *_chosen(recording, recording.decoded, wanted_s, start_s, follower), follower
+        follower = new_follower()
+        chosen = _chosen(recording, recording.listed, start_s + protocol_s, start_s, follower)
+        if chosen is not None:
+            return *chosen, follower
+    follower = new_follower()
+    chosen = _chosen(recording, recording.decoded, start_s + protocol_s, start_s, follower)
+    assert chosen is not None
+    return *chosen, follower
 
 
 def _chosen(
@@ -234,8 +229,8 @@ def _chosen(
     wanted_s: np.ndarray,
     start_s: float,
     follower: StageFollower | None,
-) -> tuple[list[tuple[float, np.ndarray]], np.ndarray]:
-    """As `_choose`, of the frames in an index."""
+) -> tuple[list[tuple[float, np.ndarray]], np.ndarray] | None:
+    """As `_choose`, of the frames in an index; None if one of them cannot be decoded."""
     time_s = index.time_s
     nearest = [_nearest(recording, time_s, one_s, start_s, wanted_s[-1]) for one_s in wanted_s]
     shown = set(follower.choose(time_s - start_s, index.is_key)) if follower else set()
@@ -249,7 +244,7 @@ def _chosen(
         if number in nearest:
             images[number] = image
     if needed:
-        raise _DamagedFrameError
+        return None
     passed_s = time_s[time_s <= max(time_s[nearest[-1]], start_s)]
     intervals = np.diff(passed_s)[passed_s[1:] >= start_s]
     chosen = [(float(time_s[number]), images[number]) for number in nearest]

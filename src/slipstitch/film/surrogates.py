@@ -225,13 +225,7 @@ def write_bench(config: Config, folder: str | Path) -> None:
 
 
 def make_film(config: Config, film: Film, out: str | Path, progress=iter) -> int:
-    """Simulate and render one capture as an MP4 file; return its number of frames.
-
-    Raises
-    ------
-    NotConverged
-        If the simulation cannot be solved.
-    """
+    """Simulate and render one capture as an MP4 file; return its number of frames."""
     started = start_clock()
     settings = surrogate_simulation(config)
     trajectory, _ = simulate_drop_and_drag(
