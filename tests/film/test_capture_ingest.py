@@ -26,21 +26,19 @@ START_S = 3.137
 RATE_HZ = 12.5
 
 
-@functools.cache
-def bench() -> stage.Bench:
-    return stage.Bench(LENS)
-
-
-@functools.cache
-def drawn(time_s: float) -> np.ndarray:
-    """The bench's image at a time from the stage's start."""
-    return bench().image(time_s)
+BENCH = stage.Bench(LENS)
 
 
 def times(until_s: float = 14.0, dense_until_s: float = 6.6) -> np.ndarray:
     """12.5 frames a second until the stage has been seen to start, then 2.5."""
     dense = np.arange(0, dense_until_s, 1 / RATE_HZ)
     return np.concatenate([dense, np.arange(dense_until_s, until_s, 0.4)])
+
+
+@functools.cache
+def drawn(time_s: float) -> np.ndarray:
+    """The bench's image at a time from the stage's start."""
+    return BENCH.image(time_s)
 
 
 def images(times_s, start_s=START_S):
@@ -151,21 +149,17 @@ def test_the_frames_are_those_of_the_dataset(video):
         assert psnr_db(image, wanted) > 28
 
 
-def test_a_stated_start_is_taken(video):
+def test_a_stated_start_is_taken_refused_where_frames_contradict_it_and_noted_elsewhere(
+    video, tmp_path
+):
     read = read_stage_video(video, LENS, SCHEDULE, start_s=3.0)
     assert not read.start.found and not read.notes
     assert np.abs(read.time_s - SCHEDULE.time_s).max() <= 0.2
-
-
-@pytest.mark.parametrize("start_s", [2.0, 60.0])
-def test_a_stated_start_that_the_frames_contradict_is_refused(video, start_s):
-    problem = rf"seen to start at 3\.1\d s, but {start_s:.2f} s is stated"
-    with pytest.raises(BadInput, match=problem):
-        read_stage_video(video, LENS, SCHEDULE, start_s=start_s)
-
-
-def test_a_stated_start_that_is_found_nowhere_is_noted(tmp_path):
-    """Two frames a second are too few to find it."""
+    for start_s in (2.0, 60.0):
+        problem = rf"seen to start at 3\.1\d s, but {start_s:.2f} s is stated"
+        with pytest.raises(BadInput, match=problem):
+            read_stage_video(video, LENS, SCHEDULE, start_s=start_s)
+    # Two frames a second are too few to find it.
     path = film(tmp_path / "seldom.mp4", np.arange(0, 14, 0.5))
     with pytest.raises(BadInput, match=STILL):
         read_stage_video(path, LENS, SCHEDULE)
@@ -188,11 +182,14 @@ def test_of_two_starts_in_a_film_the_stated_one_counts(tmp_path):
         read_stage_video(path, LENS, SCHEDULE, start_s=8.0)
 
 
-def test_missing_frames_move_the_choice_not_the_clock(tmp_path):
+def test_missing_frames_move_the_choice_not_the_clock_and_a_long_gap_is_refused(tmp_path):
     """Frames around 5 s after the start are lost: a frame beside the gap, cropped for its time."""
-    kept = np.array([one for one in times() if not 4.6 < one - START_S < 5.5])
-    path = film(tmp_path / "gap.mp4", kept)
-    read = read_stage_video(path, LENS, SCHEDULE)
+
+    def with_gap(first_s, last_s):
+        kept = [one for one in times() if not first_s < one - START_S < last_s]
+        return film(tmp_path / f"{first_s}.mp4", kept)
+
+    read = read_stage_video(with_gap(4.6, 5.5), LENS, SCHEDULE)
     off_s = np.abs(read.time_s - SCHEDULE.time_s)
     assert read.longest_gap_s == pytest.approx(1.2, abs=0.4)
     assert 0.25 < off_s[3] < 0.8
@@ -200,13 +197,8 @@ def test_missing_frames_move_the_choice_not_the_clock(tmp_path):
     assert "frames are missing" in read.notes[0]
     wanted = stage.Bench(SCHEDULE.crop(read.time_s[3])).image(read.time_s[3])
     assert psnr_db(read.frames[3], wanted) > 28
-
-
-def test_a_long_gap_is_refused(tmp_path):
-    kept = np.array([one for one in times() if not 3.8 < one - START_S < 6.2])
-    path = film(tmp_path / "gap.mp4", kept)
     with pytest.raises(BadInput, match=r"needed at 8\.1. s; the nearest usable one is 1\.\d s"):
-        read_stage_video(path, LENS, SCHEDULE)
+        read_stage_video(with_gap(3.8, 6.2), LENS, SCHEDULE)
 
 
 def test_a_wrong_frame_rate_is_noticed_and_can_be_stated(tmp_path):
@@ -267,9 +259,7 @@ def test_captures_become_a_dataset_like_any_other(folder, capsys):
     assert [row["mu_ref_error"] for row in known] == [0.02, 0.05]
     assert [row["start_found"] for row in known] == [True, False]
     assert not any(row["surrogate"] for row in known)
-
-
-def test_reference_values_fill_empty_cells(folder):
+    # Reference values fill empty cells.
     reference = "material,substrate,mu,error\ngray-interlock,glass,0.33,0.015\n"
     (folder / "reference.csv").write_text(reference)
     command = command_of(folder, "a.mp4,gray-interlock,glass,1,,,no,camera.json")
@@ -314,17 +304,15 @@ def test_a_wrong_table_is_one_line(folder, tmp_path_factory, capsys, rows, probl
     assert not (folder / "dataset").exists()
 
 
-@pytest.mark.parametrize(
-    ("columns", "problem"),
-    [
-        (COLUMNS.replace("material", "materiel"), "unknown column 'materiel'; did you mean mate"),
-        (COLUMNS.replace(",camera", ",video"), "column video: given twice"),
-        (COLUMNS.removesuffix(",camera"), "no column 'camera'; required: video, material"),
-    ],
-)
-def test_wrong_columns_are_one_line(folder, capsys, columns, problem):
-    row = ",".join(GOOD.split(",")[: columns.count(",") + 1])
-    assert problem in refused(capsys, command_of(folder, row, columns=columns))
+def test_wrong_columns_are_one_line(folder, capsys):
+    for old, new, problem in (
+        ("material", "materiel", "unknown column 'materiel'; did you mean mate"),
+        (",camera", ",video", "column video: given twice"),
+        (",camera", "", "no column 'camera'; required: video, material"),
+    ):
+        columns = COLUMNS.replace(old, new)
+        row = ",".join(GOOD.split(",")[: columns.count(",") + 1])
+        assert problem in refused(capsys, command_of(folder, row, columns=columns))
 
 
 STILL = "no start of the stage's motion found"

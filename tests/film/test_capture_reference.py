@@ -54,9 +54,7 @@ def test_without_repeats_at_several_positions_it_is_plain_students_interval(cell
     assert found.standard_error == pytest.approx(values.std(ddof=1) / np.sqrt(6))
     assert found.degrees_of_freedom == pytest.approx(5)
     assert (found.position_sd, found.position_p, found.orientation_p) == (None, None, None)
-
-
-def test_an_orientation_at_one_position_only_is_refused():
+    # An orientation at one position only cannot be told from it.
     angles = measured(np.random.default_rng(1), cells=[(0, 0)] * 4 + [(1, 1)] * 4)
     with pytest.raises(BadInput, match="gray-interlock on glass: the effects of positions, orien"):
         estimate(angles)
@@ -95,17 +93,14 @@ def test_positions_and_orientations_that_differ_are_told():
         0.06, abs=0.02
     )
     assert patchy.position_sd == pytest.approx(0.05, rel=0.7)
-
-
-def test_f_tests_reject_equal_means_as_rarely_as_they_say():
-    rng = np.random.default_rng(2)
+    # F tests reject equal means as rarely as they say.
     p = [estimate(measured(rng, tau=0.0)).position_p for _ in range(200)]
     assert np.mean(np.array(p) < 0.1) == pytest.approx(0.1, abs=0.065)
 
 
-def write(folder, *rows, header=HEADER):
+def write(folder, *rows):
     path = folder / "angles.csv"
-    path.write_text("\n".join([header, *rows]) + "\n")
+    path.write_text("\n".join([HEADER, *rows]) + "\n")
     return path
 
 

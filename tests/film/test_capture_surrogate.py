@@ -44,17 +44,13 @@ def test_films_are_simulated_more_finely_over_the_same_time():
     assert own.yaw_sd_deg > training.yaw_sd_deg
     end_s = (training.frames - 1) / training.frame_rate_hz
     assert (own.frames - 1) / own.frame_rate_hz >= end_s
-
-
-def test_repeats_differ_though_the_training_perturbs_nothing():
-    """As in config/paper.yaml: five repeats of a pair are five benches."""
+    # As in config/paper.yaml: repeats differ though the training perturbs nothing.
     still = {"yaw_sd_deg": 0.0, "height_sd_m": 0.0, "fabric_sd_rel": 0.0, "curl_side": "same"}
-    simulation = CONFIG.simulation.model_copy(update=still)
-    own = surrogate_simulation(CONFIG.model_copy(update={"simulation": simulation}))
-    assert own == surrogate_simulation(CONFIG)
+    simulation = training.model_copy(update=still)
+    assert own == surrogate_simulation(CONFIG.model_copy(update={"simulation": simulation}))
 
 
-def test_the_camera_file_is_as_wrong_as_a_calibration(tmp_path):
+def test_the_camera_file_is_as_wrong_as_a_calibration_and_the_slip_angles_right(tmp_path):
     write_bench(CONFIG, tmp_path)
     read = read_camera_file(tmp_path / "camera.json")
     found, true = calibrated_camera(CONFIG), true_camera(CONFIG)
@@ -66,16 +62,11 @@ def test_the_camera_file_is_as_wrong_as_a_calibration(tmp_path):
     # The whole travel is in the image.
     assert (true.project(room) > 0).all()
     assert (true.project(room) < np.array(film_size(CONFIG.captures)) - 1).all()
-
-
-def test_the_inclined_plane_measures_the_pairs_friction(tmp_path):
-    write_bench(CONFIG, tmp_path)
-    for pair, angles in zip(
-        CONFIG.captures.pairs, read_angles(tmp_path / "slip_angles.csv"), strict=True
-    ):
-        found = estimate(angles)
-        assert abs(found.mu - pair.friction) < 2 * found.error
-        assert found.error < 0.15 * pair.friction
+    # The inclined plane measures the pairs' friction.
+    measured = read_angles(tmp_path / "slip_angles.csv")
+    for pair, reference in zip(CONFIG.captures.pairs, map(estimate, measured), strict=True):
+        assert abs(reference.mu - pair.friction) < 2 * reference.error
+        assert reference.error < 0.15 * pair.friction
 
 
 def test_the_table_calls_every_film_a_surrogate(tmp_path):
@@ -97,20 +88,18 @@ def test_the_table_calls_every_film_a_surrogate(tmp_path):
         read_captures(tmp_path / "mixed.csv", tmp_path / "reference.csv")
 
 
-PAIR = {"material": "gray-interlock", "substrate": "matte", "friction": 0.3}
-
-
-@pytest.mark.parametrize(
-    ("pairs", "problem"),
-    [
-        ([PAIR | {"material": "silk"}], "unknown material"),
-        ([PAIR | {"substrate": "ice"}], "unknown floor 'ice'"),
-        ([PAIR, PAIR], "duplicate fabric on the same substrate"),
-    ],
-)
-def test_impossible_pairs_are_refused(pairs, problem):
-    with pytest.raises(BadInput, match=problem):
-        resolve_config({"captures": {"pairs": pairs}})
+def test_impossible_pairs_and_unknown_films_are_refused(tmp_path, capsys):
+    pair = {"material": "gray-interlock", "substrate": "matte", "friction": 0.3}
+    for pairs, problem in (
+        ([pair | {"material": "silk"}], "unknown material"),
+        ([pair | {"substrate": "ice"}], "unknown floor 'ice'"),
+        ([pair, pair], "duplicate fabric on the same substrate"),
+    ):
+        with pytest.raises(BadInput, match=problem):
+            resolve_config({"captures": {"pairs": pairs}})
+    write_config(CONFIG, tmp_path / "config.json")
+    command = f"capture surrogate --config {tmp_path}/config.json --film c09_r01 --out x.mp4"
+    assert "unknown surrogate capture 'c09_r01'" in refused(capsys, command)
 
 
 @pytest.mark.slow
@@ -145,9 +134,3 @@ def test_a_tiny_film_goes_through_the_same_files_as_a_real_one(tmp_path, capsys,
     assert videos.pixels.shape == (1, 3, 32, 32, 3)
     assert videos.pixels.std() > 20
     assert "1 videos of 1 pairs" in capsys.readouterr().out
-
-
-def test_an_unknown_film_is_one_line(tmp_path, capsys):
-    write_config(CONFIG, tmp_path / "config.json")
-    command = f"capture surrogate --config {tmp_path}/config.json --film c09_r01 --out x.mp4"
-    assert "unknown surrogate capture 'c09_r01'" in refused(capsys, command)

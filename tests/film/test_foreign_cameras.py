@@ -5,7 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
-from support.board_photographs import TEXELS, board_image
+from support.board_photographs import board_image, photograph
 from support.refusal import refused, run
 
 from slipstitch.base.errors import BadInput
@@ -114,20 +114,13 @@ def test_a_lens_that_cannot_be_expressed_is_one_line(tmp_path, change, message):
         read_foreign_lens(tmp_path / "a.json")
 
 
-@pytest.mark.parametrize("size", SIZES)
-def test_a_principal_point_whose_coordinates_are_swapped_is_named(tmp_path, size):
-    content = {
-        "format": "slipstitch camera 1",
-        "image_size_px": size,
-        "focal_px": [900, 900],
-        "principal_point_px": [size[1] / 2 + 4, size[0] / 2],
-        "rotation": np.eye(3).tolist(),
-        "translation_m": [0, 0, 1.4],
-        "distortion": dict.fromkeys(("k1", "k2", "p1", "p2", "k3"), 0.0),
-    }
-    (tmp_path / "camera.json").write_text(json.dumps(content))
-    with pytest.raises(BadInput, match="x and y, or width and height, are swapped"):
-        read_camera_file(tmp_path / "camera.json")
+def test_a_principal_point_whose_coordinates_are_swapped_is_named(tmp_path):
+    for size in SIZES:
+        swapped = {"image_size_px": size, "principal_point_px": [size[1] / 2 + 4, size[0] / 2]}
+        content = json.loads(EXAMPLE_CAMERA.read_text()) | swapped
+        (tmp_path / "camera.json").write_text(json.dumps(content))
+        with pytest.raises(BadInput, match="x and y, or width and height, are swapped"):
+            read_camera_file(tmp_path / "camera.json")
 
 
 # Boards
@@ -136,19 +129,16 @@ IMAGE = (960, 720)
 MATRIX = np.array([[900.0, 0, 480], [0, 905.0, 360], [0, 0, 1]])
 
 
-def photographs(folder, squares, square_m=0.02, count=8, distance=1.0, **kind):
-    """Files of the board in the hand, and on a floor before a camera that looks down at it."""
+def photographs(folder, squares, count=8, distance=1.0, **kind):
+    """Files of a board of 2 cm squares in the hand, the first as on a floor below the camera."""
     rng, board = np.random.default_rng(1), board_image(squares, **kind)
-    middle = np.array([*squares, 0]) * square_m / 2
-    scale = np.diag([square_m / TEXELS, square_m / TEXELS, 1])
-    scale[:2, 2] = -square_m
+    middle = np.array([*squares, 0]) * 0.02 / 2
     for number in range(count):
         turn, _ = cv2.Rodrigues(rng.uniform(-0.5, 0.5, 3) * (number > 0))
-        away_m = distance * max(squares) * square_m * 900 / 700
+        away_m = distance * max(squares) * 0.02 * 900 / 700
         at = np.array([*rng.uniform(-0.01, 0.01, 2), away_m]) - turn @ middle
-        homography = MATRIX @ np.column_stack([turn[:, :2], at]) @ scale
-        image = cv2.warpPerspective(board, homography, IMAGE, flags=cv2.INTER_AREA, borderValue=130)
-        cv2.imwrite(str(folder / f"{number}.png"), cv2.GaussianBlur(image, (3, 3), 0.7))
+        image = photograph(board, turn, at, MATRIX, np.zeros(5), IMAGE, 0.02)
+        cv2.imwrite(str(folder / f"{number}.png"), image)
     return sorted(folder.glob("*.png"))
 
 

@@ -59,36 +59,37 @@ def command_of(bench, words):
     return f"measure {files} --model {bench}/results/instrument/seed0 --threads 1 {words}"
 
 
-def measure(bench, words):
-    return run(command_of(bench, words))
+def measure(bench, folder, words=""):
+    """The exit code; a page, a table and numbers are written: x.html, x.csv, x.json."""
+    files = f"--out {folder}/x.html --csv {folder}/x.csv --json {folder}/x.json"
+    return run(command_of(bench, f"{words} {files}"))
 
 
-def outputs(folder):
-    """The options for a page, a table and numbers: x.html, x.csv, x.json."""
-    return f"--out {folder}/x.html --csv {folder}/x.csv --json {folder}/x.json"
+def written(folder):
+    """The numbers, the table's rows and the page."""
+    rows = list(csv.DictReader((folder / "x.csv").read_text().splitlines()))
+    return json.loads((folder / "x.json").read_text()), rows, (folder / "x.html").read_text()
 
 
-def test_result_numbers_and_page(bench, capsys):
-    page, numbers = bench / "page.html", bench / "numbers.json"
-    assert measure(bench, f"--out {page} --json {numbers}") == ALARM_EXIT_CODE == 3
+def test_result_numbers_and_page(bench, tmp_path, capsys):
+    assert measure(bench, tmp_path) == ALARM_EXIT_CODE == 3
     said = capsys.readouterr().out.splitlines()
     assert said[0].startswith("friction ")
     assert said[0].endswith(", no error bar: calibrated on 0 simulations; 9 are needed")
     assert "±" not in said[0]
     assert said[1].startswith("most similar fabric ")
     assert said[-1].startswith("ALARM: the instrument is not calibrated")
-    told = json.loads(numbers.read_text())
+    told, _, content = written(tmp_path)
     assert told["stage_start_s"] == pytest.approx(START_S, abs=0.01) and told["stage_start_found"]
     assert np.sum(told["moments"]) == pytest.approx(1, abs=1e-3)
     assert len(told["frame_time_s"]) == 6
-    content = page.read_text()
     assert content.count("data:image/png;base64,") == 6
     assert "These numbers are not reliable" in content
     assert "No error bar: calibrated on 0 simulations; 9 are needed." in content
     assert told["uncertainty"] is None and "±" not in content.split("<h2>")[0]
     assert f"{told['friction_coefficient']:.3f}" in content
-    assert measure(bench, f"--start-s 3.0 --json {numbers}") == ALARM_EXIT_CODE
-    stated = json.loads(numbers.read_text())
+    assert measure(bench, tmp_path, "--start-s 3.0") == ALARM_EXIT_CODE
+    stated, *_ = written(tmp_path)
     assert stated["stage_start_s"] == 3.0 and not stated["stage_start_found"]
 
 
@@ -148,7 +149,7 @@ def test_repeats_of_a_pair_are_measured_one_by_one_and_together(bench, tmp_path,
     (tmp_path / "again").mkdir()
     again = another(bench, tmp_path / "again" / "video.mp4")
     # Two cannot be measured.
-    assert measure(bench, f"{again} {damaged} {missing} {outputs(tmp_path)}") == 2
+    assert measure(bench, tmp_path, f"{again} {damaged} {missing}") == 2
     said = capsys.readouterr().out
     # As much of each path as tells the films from one another.
     assert f"\n{bench.name}/video.mp4: friction " in f"\n{said}"
@@ -156,16 +157,14 @@ def test_repeats_of_a_pair_are_measured_one_by_one_and_together(bench, tmp_path,
     assert said.count("not measured: ") == 2 and "damaged.mp4: a text file" in said
     assert "missing.mp4" in said
     assert "ALARM in every video: no combined value" in said
-    told = json.loads((tmp_path / "x.json").read_text())
+    told, rows, content = written(tmp_path)
     assert len(told["videos"]) == 2 and len(told["refused"]) == 2
     assert told["combined"] is None
-    rows = list(csv.DictReader((tmp_path / "x.csv").read_text().splitlines()))
     bad = [f"{tmp_path.name}/{name}.mp4" for name in ("damaged", "missing")]
     names = [f"{bench.name}/video.mp4", "again/video.mp4", *bad]
     assert [row["video"] for row in rows] == names
     assert rows[2]["friction_coefficient"] == ""
     assert rows[2]["notes"].startswith(f"not measured: {damaged}: a text file")
-    content = (tmp_path / "x.html").read_text()
     assert "No measurement" in content and content.count("data:image/png;base64,") == 10
 
 
@@ -181,17 +180,16 @@ def test_repeats_have_no_combined_interval_where_the_instrument_has_no_error_bar
     save_instrument(replace(instrument, error_bars=bars), tmp_path / "model")
     write_config(CONFIG, tmp_path / "config.json")
     again = another(bench, tmp_path / "price$5_$6_.mp4")
-    assert measure(bench, f"{again} {outputs(tmp_path)} --model {tmp_path}/model") == 0
+    assert measure(bench, tmp_path, f"{again} --model {tmp_path}/model") == 0
     why = "no error bar: calibrated on 4 simulations; 9 are needed"
     last = capsys.readouterr().out.splitlines()[-1]
     assert last.startswith("combined (2 of 2 videos): friction 0.") and why in last
     assert "interval" not in last
-    told = json.loads((tmp_path / "x.json").read_text())["combined"]
+    told, rows, content = written(tmp_path)
+    told = told["combined"]
     assert told["interval_90"] is None and told["without_error_bar"] == why
-    *rows, combined = csv.DictReader((tmp_path / "x.csv").read_text().splitlines())
-    for row in (*rows, combined):
+    for row in rows:
         assert (row["interval_90_low"], row["interval_90_high"], row["notes"]) == ("", "", why)
-    content = (tmp_path / "x.html").read_text()
     assert "<!-- price$5_$6_.mp4 -->" in content  # in the figure, as it is
     assert f"N{why[1:]}, from 2 of 2 videos" in content
     assert "0.000 … " not in content
@@ -202,28 +200,19 @@ def test_a_result_that_cannot_be_written_is_not_lost(bench, tmp_path, capsys, mo
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("slipstitch.film.measure.measurement_files.write_json", full)
-    assert measure(bench, f"--json {tmp_path}/x.json") == 1
+    assert measure(bench, tmp_path) == 1
     told = capsys.readouterr()
     assert told.out.startswith("friction 0.")
     assert "no space left on device" in told.err
 
 
-@pytest.mark.parametrize(
-    ("name", "cell"),
-    [("combined", "./combined"), ("=1+1.mp4", "./=1+1.mp4"), ("glass_1.mp4", "glass_1.mp4")],
-)
-def test_the_table_names_a_video_by_no_formula_and_not_as_the_last_row(name, cell):
-    rows = list(csv.DictReader(MeasuredPair([], {name: "damaged"}).table().splitlines()))
-    assert rows[0]["video"] == cell
-
-
-@pytest.mark.parametrize(
-    ("videos", "names"),
-    [
+def test_videos_are_named_by_what_tells_them_apart_no_formula_and_not_as_the_last_row():
+    for videos, names in (
         (["day/film_1.mp4", "day/film_2.mp4"], ["film_1.mp4", "film_2.mp4"]),
         (["a/film.mp4", "b/film.mp4", "c/film.mp4"], ["a/film.mp4", "b/film.mp4", "c/film.mp4"]),
         (["a/1/film.mp4", "b/1/film.mp4"], ["a/1/film.mp4", "b/1/film.mp4"]),
-    ],
-)
-def test_films_are_named_by_what_tells_them_apart(videos, names):
-    assert names_of([Path(video) for video in videos]) == names
+    ):
+        assert names_of([Path(video) for video in videos]) == names
+    cells = {"combined": "./combined", "=1+1.mp4": "./=1+1.mp4", "glass_1.mp4": "glass_1.mp4"}
+    table = MeasuredPair([], dict.fromkeys(cells, "damaged")).table()
+    assert [row["video"] for row in csv.DictReader(table.splitlines())] == [*cells.values()]

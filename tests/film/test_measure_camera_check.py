@@ -82,9 +82,7 @@ def test_a_camera_beyond_the_family_within_the_tolerance_is_told_how_far(bench, 
     edge = measuring_bench(bench / "edge.json", bench / "instrument")
     assert edge.caveats == (said,) and edge.outside == ()
     assert measuring_bench(bench / "inside.json", bench / "instrument").caveats == ()
-
-
-def test_a_measurement_by_force_knows_where_its_camera_is_outside(bench):
+    # One by force knows where its camera is outside.
     aside = measuring_bench(bench / "aside.json", bench / "instrument", force=True)
     assert aside.outside == ("rotation about the vertical +25 degrees (trained on -15 ... +15)",)
     assert aside.caveats == ()  # the alarm says it

@@ -1,11 +1,13 @@
-"""A reading corrected for the height of the clamps."""
+"""The height of the clamps as a film shows it, and readings corrected for it."""
 
 import json
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from support import analytic_stage as stage
 from support.refusal import refused, run
 
 from slipstitch.base.errors import BadInput
@@ -13,6 +15,7 @@ from slipstitch.film.edge_height import EdgeFinder, EdgeHeight
 from slipstitch.film.measure import EXAMPLE_CAMERA, EXAMPLE_VIDEO, clamp_height
 from slipstitch.film.measure.clamp_height import ClampHeight, SeenClamps
 from slipstitch.film.measure.measuring_bench import MeasuredVideo, measuring_bench
+from slipstitch.images.calibrated_view import BenchCamera
 from slipstitch.images.camera_file import HEIGHT
 from slipstitch.learning.prediction import Prediction
 
@@ -29,22 +32,19 @@ def clamps(height_mm, error_mm=0.2):
     return ClampHeight(1e-3 * height_mm, 1e-3 * error_mm, 0.15)
 
 
-def test_its_constants_are_the_published_ones():
-    found = json.loads(MEASURED.read_text())["all"]
+def test_its_constants_are_the_published_ones_and_correct_other_simulations():
+    published = json.loads(MEASURED.read_text())
+    found = published["all"]
     constants = (clamp_height.READING_PER_M, clamp_height.READING_PER_M_SD)
     per_mm = (found["error_per_mm"], found["error_per_mm_sd"])
     assert constants == tuple(round(1e3 * value, 1) for value in per_mm)
     assert found["height_sd_mm"] > 0.4 * 1e3 * clamp_height.FURTHEST_M
+    for one, other in (("first", "second"), ("second", "first")):  # half of them each
+        left = published[other]["error_per_mm"] - published[one]["error_per_mm"]
+        assert abs(left * published[other]["height_sd_mm"]) < 0.015
 
 
-def test_half_of_its_simulations_correct_the_other_half():
-    found = json.loads(MEASURED.read_text())
-    for one, other in (("first", "second"), ("second", "first")):
-        left = found[other]["error_per_mm"] - found[one]["error_per_mm"]
-        assert abs(left * found[other]["height_sd_mm"]) < 0.015
-
-
-def test_a_reading_at_clamps_too_high_is_raised():
+def test_a_reading_is_corrected_and_its_interval_allows_for_the_height():
     found = clamps(151).corrected(reading())
     assert found.friction_coefficient == pytest.approx(0.6 / (1 - 0.0684))
     assert clamps(149).corrected(reading()).friction_coefficient == pytest.approx(0.6 / 1.0684)
@@ -52,18 +52,13 @@ def test_a_reading_at_clamps_too_high_is_raised():
     assert grid is GRID
     assert shares.sum() == pytest.approx(1)
     assert np.interp(0.5, np.cumsum(shares), grid) == pytest.approx(0.6 / (1 - 0.0684), abs=0.01)
-
-
-def test_at_the_right_height_only_its_error_is_added():
+    # At the right height only its error is added.
     found = clamps(150, 0.5).corrected(reading())
     assert found.friction_coefficient == pytest.approx(0.6)
     added = 1.645 * 0.0684 * 0.5 * 0.6
-    assert found.interval_90 == pytest.approx(
-        (0.6 - np.hypot(0.1, added), 0.6 + np.hypot(0.12, added)), abs=1e-4
-    )
-
-
-def test_an_interval_stays_within_the_grid_and_a_cut_end_stays_cut():
+    ends = (0.6 - np.hypot(0.1, added), 0.6 + np.hypot(0.12, added))
+    assert found.interval_90 == pytest.approx(ends, abs=1e-4)
+    # An interval stays within the grid, and an end that is cut off stays cut off.
     found = clamps(151.5).corrected(reading(1.7, (1.6, 1.75)))
     assert found.friction_coefficient == found.interval_90[1] == 1.75
     assert clamps(149).corrected(reading(0.6, (0.0, 1.75))).interval_90 == (0.0, 1.75)
@@ -165,3 +160,54 @@ def test_an_alarm_of_the_images_says_what_of_the_bench_lies_outside(told, says):
     result = MeasuredVideo("film.mp4", None, read, 0.1, bench, told)
     assert result.alarm_reason.startswith(f"the images differ{says}")
     assert replace(result, measurement=reading()).alarm_reason == ""
+
+
+SCHEDULE = stage.protocol()[1]
+TIMES_S = (6.8, 7.1, 20.0, 25.0, 30.0)
+
+
+def lens(width=320, **moved):
+    """A camera without distortion, beside the calibrated viewpoint."""
+    place = BenchCamera(**moved).pose(*SCHEDULE.pose)
+    return stage.lens_camera(*place, (width, width * 3 // 4), distortion=np.zeros(5))
+
+
+def found_in(camera, image, times_s=TIMES_S):
+    """The height that is found in the images of these times."""
+    finder = EdgeFinder(camera, SCHEDULE)
+    for time_s in times_s:
+        finder.add(time_s, np.clip(image(time_s), 0, 255).astype(np.uint8))
+    return finder.found()
+
+
+@pytest.mark.parametrize(
+    ("width", "lifted_mm", "moved"),
+    [
+        (640, -2, {}),
+        (640, 0, {"yaw_deg": -12.0}),
+        (640, 1, {"pitch_deg": 6.0, "roll_deg": 2.0}),
+        (320, 2, {"yaw_deg": 10.0, "distance": 1.15}),
+    ],
+)
+def test_a_height_is_found_within_its_error_in_noise_and_drifting_light(width, lifted_mm, moved):
+    camera, rng = lens(width, **moved), np.random.default_rng(0)
+    bench = stage.Bench(camera, 1e-3 * lifted_mm)
+
+    def noisy(time_s):
+        image = bench.image(time_s)[..., ::-1] * (1 - 0.03 * TIMES_S.index(time_s))
+        return image + 3 * rng.normal(size=image.shape)
+
+    found = found_in(camera, noisy)
+    off_m = found.height_m - (0.150 + 1e-3 * lifted_mm)
+    assert abs(off_m) < 2 * found.error_m < 0.0012
+
+
+def test_what_is_no_edge_gives_no_height():
+    bench = stage.Bench(lens())
+    # A cloth like the floor behind, and an edge that rises from holder to holder.
+    still = cv2.GaussianBlur(bench.image(30.0), (0, 0), 3)
+    assert found_in(lens(), lambda time_s: still) is None
+    assert found_in(lens(roll_deg=2.0), bench.image) is None
+    # The cloth at rest is needed, and what is behind.
+    for times_s in (TIMES_S[:2], TIMES_S[2:], (7.1, 10.0)):
+        assert found_in(lens(), bench.image, times_s) is None

@@ -1,10 +1,9 @@
-"""Photographs of a calibration board through a known lens: Blender draws, the lens distorts."""
+"""Photographs of a flat calibration board through a known lens."""
+
+import functools
 
 import cv2
 import numpy as np
-
-from slipstitch.images.blender import ClothScene
-from slipstitch.images.camera import Camera
 
 SQUARES, SQUARE_M, MARKER_M, DICTIONARY = (10, 7), 0.025, 0.019, "DICT_4X4_50"
 SIZE = (480, 360)
@@ -14,7 +13,6 @@ DISTORTION = np.array([-0.24, 0.11, 0.0012, -0.0009, 0.0])
 POSITION_M = np.array([0.55, -0.32, 0.6])
 PLACE_MM, ANGLE_DEG, THICKNESS_MM = (30.0, 90.0), -12.0, 3.0
 
-_MARGIN_PX = 60  # what the lens pulls in from beyond the pinhole's image
 TEXELS = 60  # a square
 
 
@@ -38,8 +36,8 @@ def board_image(
 
 
 def own_image(charuco: bool = False) -> np.ndarray:
-    """The board that is photographed, grey in 0 ... 1."""
-    return board_image(SQUARES, MARKER_M / SQUARE_M, DICTIONARY if charuco else None) / 255.0
+    """The board that is photographed."""
+    return board_image(SQUARES, MARKER_M / SQUARE_M, DICTIONARY if charuco else None)
 
 
 def camera_pose() -> tuple[np.ndarray, np.ndarray]:
@@ -49,13 +47,8 @@ def camera_pose() -> tuple[np.ndarray, np.ndarray]:
     right = np.cross(forward, [0, 0, 1.0])
     right /= np.linalg.norm(right)
     # Somewhat rolled, as no tripod stands upright.
-    roll = np.radians(3.0)
-    down = np.cross(forward, right)
-    right, down = (
-        np.cos(roll) * right + np.sin(roll) * down,
-        np.cos(roll) * down - np.sin(roll) * right,
-    )
-    rotation = np.stack([right, down, forward])
+    roll, _ = cv2.Rodrigues(np.radians([0.0, 0.0, -3.0]))
+    rotation = roll @ np.stack([right, np.cross(forward, right), forward])
     return rotation, -rotation @ POSITION_M
 
 
@@ -83,32 +76,27 @@ def floor_place() -> tuple[np.ndarray, np.ndarray]:
     return rotation @ to_stage, rotation @ corner + translation
 
 
-class Photographer:
-    """Photographs one board through the lens."""
+@functools.cache
+def _rays(matrix: tuple, distortion: tuple, size: tuple[int, int]) -> np.ndarray:
+    """Directions (rows * columns, 1, 2) in which a lens looks, four a pixel."""
+    y, x = (np.mgrid[: 2 * size[1], : 2 * size[0]] + 0.5) / 2 - 0.5
+    # More steps than OpenCV's five: its error would be of the order of the corners'.
+    until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
+    seen, lens = np.stack([x, y], axis=-1).reshape(-1, 1, 2), np.reshape(matrix, (3, 3))
+    return cv2.undistortPointsIter(seen, lens, np.array(distortion), None, None, until)
 
-    def __init__(self, charuco: bool = False):
-        uv = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]])
-        self.scene = ClothScene(np.array([[0, 1, 2], [0, 2, 3]]), uv)
-        self.scene.wear(np.repeat(0.02 + 0.7 * own_image(charuco)[..., None], 3, axis=2))
-        extent = np.array([SQUARES[0] + 2, SQUARES[1] + 2]) * SQUARE_M
-        self.corners = np.column_stack([uv * extent - SQUARE_M, np.zeros(4)])
-        wide = MATRIX.copy()
-        wide[:2, 2] += _MARGIN_PX
-        self.pinhole = Camera(
-            *camera_pose(), wide, SIZE[0] + 2 * _MARGIN_PX, SIZE[1] + 2 * _MARGIN_PX
-        )
-        y, x = np.mgrid[: SIZE[1], : SIZE[0]].astype(np.float64)
-        seen = np.stack([x, y], axis=-1).reshape(-1, 1, 2)
-        # More steps than OpenCV's five: its error would be of the order of the corners'.
-        until = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 100, 1e-9)
-        at = cv2.undistortPointsIter(seen, MATRIX, DISTORTION, None, wide, until)
-        self.map = at.reshape(*SIZE[::-1], 2).astype(np.float32)
 
-    def photograph(self, turn: np.ndarray, at: np.ndarray, seed: int = 0) -> np.ndarray:
-        """Grey image (360, 480) uint8 of the board at this place in the camera's coordinates."""
-        local = self.corners @ turn.T + at
-        stage = (local - self.pinhole.translation_m) @ self.pinhole.rotation
-        radiance = self.scene.render(stage, self.pinhole, samples=4, seed=seed).radiance
-        light = radiance.sum(axis=0).mean(axis=-1)
-        seen = cv2.remap(light, self.map, None, cv2.INTER_CUBIC)
-        return np.rint(255 * np.clip(seen / 1.1, 0, 1) ** (1 / 2.2)).astype(np.uint8)
+def photograph(
+    board: np.ndarray, turn: np.ndarray, at: np.ndarray, matrix=MATRIX, distortion=DISTORTION,
+    size=SIZE, square_m=SQUARE_M,
+) -> np.ndarray:  # fmt: skip
+    """Grey image uint8 of a `board_image` at this place in the camera's coordinates; noisy."""
+    rays = _rays(tuple(matrix.ravel()), tuple(distortion), size)
+    on_board = cv2.perspectiveTransform(rays, np.linalg.inv(np.column_stack([turn[:, :2], at])))
+    texels = ((on_board / square_m + 1) * TEXELS - 0.5).astype(np.float32)
+    shown = 0.1 + 0.8 * cv2.GaussianBlur(board / 255.0, (0, 0), 1.0)
+    fine = cv2.remap(shown, texels.reshape(2 * size[1], -1, 2), None, cv2.INTER_LINEAR, None,
+                     cv2.BORDER_CONSTANT, 0.4)  # fmt: skip
+    light = cv2.resize(fine, size, interpolation=cv2.INTER_AREA)
+    noise = np.random.default_rng(0).normal(0, 1.5, light.shape)
+    return np.rint(np.clip(255 * light ** (1 / 2.2) + noise, 0, 255)).astype(np.uint8)
