@@ -8,17 +8,8 @@ import pytest
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import read_provenance
 from slipstitch.config import resolve_config
-from slipstitch.design.grid import (
-    bench_of,
-    films,
-    find_simulation,
-    floors_of,
-    grid_rows,
-    simulations,
-    textures,
-    viewpoints,
-    write_grid,
-)
+from slipstitch.design import grid as module
+from slipstitch.design.grid import bench_of, films, find_simulation, simulations, viewpoints
 
 
 def grid(**keys):
@@ -37,13 +28,15 @@ def test_ids_say_the_place_in_the_catalogue_and_the_value_in_thousandths():
         find_simulation(config, "m09_f0100_r00")
 
 
-def test_an_inserted_coefficient_leaves_the_other_ids_as_they_are():
+def test_a_simulation_is_the_same_in_any_grid():
     before, after = (
         {one.id: one for one in simulations(grid(frictions=frictions))}
         for frictions in ([0.1, 0.5], [0.1, 0.345, 0.5, 10.0])
     )
     assert {name: after[name] for name in before} == before
     assert {one.friction_id for one in after.values()} == {"f0100", "f0345", "f0500", "f10000"}
+    alone = simulations(grid(frictions=[0.5], replicates=1, materials=["gray-interlock"]))
+    assert alone == [before["m05_f0500_r00"]]
 
 
 def test_every_fabric_and_replicate_has_a_seed_of_its_own_whatever_the_coefficient():
@@ -56,12 +49,6 @@ def test_every_fabric_and_replicate_has_a_seed_of_its_own_whatever_the_coefficie
     assert bench_of("m05_f0300_r00") == bench_of("m05_f1300_r00") == "m05_r00"
     others = simulations(resolve_config({"seed": 2, "grid": {"replicates": 20}}))
     assert not {one.seed for one in others} & seeds
-
-
-def test_a_simulation_is_the_same_in_any_grid():
-    alone = simulations(grid(frictions=[0.3], replicates=1, materials=["gray-interlock"]))
-    among = grid(frictions=[0.1, 0.3], replicates=2)
-    assert alone == [find_simulation(among, "m05_f0300_r00")]
 
 
 PAPER = {
@@ -79,7 +66,7 @@ PAPER = {
 
 def test_training_comes_before_testing_and_once_more_on_other_floors_at_the_end():
     config = resolve_config(PAPER)
-    assert [tuple(one.values()) for one in textures(config)] == [
+    assert [tuple(one.values()) for one in module.textures(config)] == [
         ("t00", "dots", "train"),
         ("t01", "stripes", "train"),
         ("t02", "chevron", "test"),
@@ -92,8 +79,8 @@ def test_training_comes_before_testing_and_once_more_on_other_floors_at_the_end(
         ("v04", "calibrated", "train", "test"),
         ("v05", "side", "train", "test"),
     ]
-    assert floors_of(config.render, "v01") == ["matte"]
-    assert floors_of(config.render, "v05") == ["ceramic", "aluminium"]
+    assert module.floors_of(config.render, "v01") == ["matte"]
+    assert module.floors_of(config.render, "v05") == ["ceramic", "aluminium"]
     shown = films(config)
     for simulation in simulations(config):
         assert list(shown[simulation.id, "v00"]) == ["t00", "t01", "t02"]
@@ -125,27 +112,19 @@ def turned(config):
     return found
 
 
-def test_rows_explain_every_part_of_every_id():
+def test_rows_explain_every_part_of_every_id_and_are_read_back_with_their_provenance(tmp_path):
+    path = tmp_path / "grid.parquet"
     config = grid(materials=["gray-interlock"], frictions=[0.1, 0.4], replicates=2)
-    rows = grid_rows(config)
+    module.write_grid(config, path)
+    rows = pq.read_table(path).to_pylist()
     by_id = {row["id"]: row for row in rows}
     assert len(by_id) == len(rows)
     for one in simulations(config):
         assert by_id[one.material_id]["name"] == one.material
-        assert by_id[one.friction_id]["value"] == one.friction
+        assert by_id[one.friction_id]["value"] == by_id[one.id]["friction"] == one.friction
         assert by_id[one.replicate_id]["kind"] == "replicate"
+        assert (by_id[one.id]["kind"], by_id[one.id]["seed"]) == ("simulation", one.seed)
     assert math.isnan(by_id["m05"]["value"])
-
-
-def test_table_reads_back_with_its_provenance(tmp_path):
-    path = tmp_path / "grid.parquet"
-    config = grid(materials=["gray-interlock"], frictions=[0.1, 0.4], replicates=1)
-    write_grid(config, path)
-    rows = pq.read_table(path).to_pylist()
-    of_simulations = [row for row in rows if row["kind"] == "simulation"]
-    assert [row["id"] for row in of_simulations] == ["m05_f0100_r00", "m05_f0400_r00"]
-    assert of_simulations[1]["friction"] == 0.4
-    assert of_simulations[1]["seed"] == simulations(config)[1].seed
     assert read_provenance(path)["config"]["grid"]["frictions"] == [0.1, 0.4]
 
 
@@ -166,8 +145,5 @@ def test_benches_are_shared_by_the_coefficients_unless_each_has_its_own():
     ideal = simulations(resolve_config(first_ideal | BENCHES))
     assert [one.seed for one in ideal[::2]] == [one.seed for one in shared[::2]]
     assert [one.seed for one in ideal[1::2]] == [one.seed for one in own[1::2]]
-
-
-def test_own_benches_are_refused_where_they_would_tell_the_coefficient():
     with pytest.raises(BadInput, match=r"grid\.own_benches: a bench of one coefficient tells it"):
         resolve_config({"grid": {"own_benches": True}})

@@ -36,21 +36,17 @@ def tail_m(friction):
     return flexible_strip_drag(friction, 0.20, 0.15).holder_ahead_of_tail_m
 
 
-def test_only_films_of_simulations_that_train_are_interpolated_and_only_of_such():
+def test_films_that_train_show_the_cloth_of_theory_s_tail_between_their_own_and_another():
     settings = config()
     sides = sides_of_simulations(settings)
     assert {"train", "test"} <= set(sides.values())
     found = interpolations(settings)
-    for (simulation, _), shown in found.items():
-        assert sides[simulation] == "train"
-        assert {sides[name] for name in shown.weights} == {"train"}
     # Each of three cameras, of each simulation that trains.
     assert len(found) == 3 * list(sides.values()).count("train")
-
-
-def test_weights_add_up_to_one_and_give_the_tail_that_theory_gives_the_coefficient():
-    settings = config()
-    for shown in interpolations(settings).values():
+    for (simulation, _), shown in found.items():
+        assert simulation in shown.weights and len(shown.weights) <= 2
+        assert {sides[name] for name in (simulation, *shown.weights)} == {"train"}
+        assert {name[:3] for name in shown.weights} == {simulation[:3]}
         assert sum(shown.weights.values()) == pytest.approx(1, abs=1e-12)
         assert min(shown.weights.values()) > 0
         mean_m = sum(
@@ -58,12 +54,9 @@ def test_weights_add_up_to_one_and_give_the_tail_that_theory_gives_the_coefficie
             for name, weight in shown.weights.items()
         )
         assert mean_m == pytest.approx(tail_m(shown.friction), abs=1e-9)
-
-
-def test_its_own_simulation_is_a_parent_and_all_are_of_its_fabric():
-    for (simulation, _), shown in interpolations(config()).items():
-        assert simulation in shown.weights and len(shown.weights) <= 2
-        assert {name[:3] for name in shown.weights} == {simulation[:3]}
+        own = find_simulation(settings, simulation)
+        assert filmed_friction(own, shown) == shown.friction
+        assert filmed_friction(own, None) == own.friction
 
 
 def test_the_films_of_a_fabric_cover_all_coefficients_between_its_first_and_last():
@@ -90,14 +83,6 @@ def test_the_share_says_how_many_and_adding_cameras_changes_no_other():
     assert interpolations(config(seed=2)) != every
 
 
-def test_a_film_shows_its_own_coefficient_unless_it_is_interpolated():
-    settings = config()
-    simulation = simulations(settings)[0]
-    assert filmed_friction(simulation, None) == simulation.friction
-    (shown, *_) = interpolations(settings).values()
-    assert filmed_friction(simulation, shown) == shown.friction
-
-
 def test_between_two_coefficients_both_weigh_and_at_one_it_alone():
     row = [one for one in simulations(config()) if one.material == FABRICS[0]]
     part = (tail_m(0.125) - tail_m(0.1)) / (tail_m(0.2) - tail_m(0.1))
@@ -107,14 +92,11 @@ def test_between_two_coefficients_both_weigh_and_at_one_it_alone():
     assert between(row, 1.5, 0.15) == {row[-1].id: 1.0}
 
 
-def test_below_the_coefficient_from_which_a_cloth_is_dragged_nothing_is_interpolated(monkeypatch):
+def test_nothing_is_interpolated_below_where_a_cloth_is_dragged_or_for_other_cameras(monkeypatch):
     monkeypatch.undo()
     settings = config()
     for (simulation, _), shown in interpolations(settings).items():
         names = {simulation, *shown.weights}
         assert min(find_simulation(settings, name).friction for name in names) >= 0.4
-
-
-def test_cameras_of_the_catalogue_show_nothing_interpolated():
     with pytest.raises(BadInput, match=r"render\.interpolation\.share: only films of the family"):
         config(viewpoints=["calibrated"])

@@ -1,5 +1,7 @@
 """Floors, lamps and cameras: drawn by seed and name, and doing what they say."""
 
+from operator import eq
+
 import numpy as np
 import pytest
 
@@ -35,23 +37,44 @@ def test_a_floor_is_drawn_within_its_ranges_and_gives_back_no_more_than_it_gets(
         assert drawn.lamp_position_m == LAMP_POSITION_M
 
 
-def test_what_is_drawn_depends_on_seed_and_simulation_only():
-    settings = RenderSettings(floors=list(FLOORS), augmentation=AugmentationSettings(lamp_m=0.2))
-    one = draw_surroundings(settings, 3, "m00_f0100_r00")
-    assert draw_surroundings(settings, 3, "m00_f0100_r00") == one
-    assert draw_surroundings(settings, 4, "m00_f0100_r00") != one
-    others = [draw_surroundings(settings, 3, f"m{k:02d}_f0100_r00") for k in range(60)]
+LOOKS = RenderSettings(
+    viewpoints=["calibrated", "side", "bench_1", "bench_2"],
+    floors=list(FLOORS),
+    augmentation={"lamp_m": 0.2, "exposure_stops": 1, "colour_cast": 0.2, "noise": 0.05,
+                  "jpeg_quality": 40},
+)  # fmt: skip
+
+
+def drawn(name="m00_f0100_r00", seed=3, texture="dots", view="side"):
+    """Surroundings, camera and a number of the noise of a simulation's video."""
+    place = {"side": "v01", "bench_1": "v02"}[view]
+    effects = draw_camera_effects(LOOKS.augmentation, seed, name, texture, view)
+    noise = pixel_noise(seed, name, texture, view, 7).random()
+    return draw_surroundings(LOOKS, seed, name, place), effects, noise
+
+
+def test_what_is_drawn_depends_on_seed_bench_and_video_and_tells_no_friction_coefficient():
+    one = drawn()
+    assert all(drawn(f"m00_f{100 * k:04d}_r00") == one for k in range(16))
+    for other in ({"seed": 4}, {"name": "m01_f0100_r00"}, {"name": "m00_f0100_r01"}):
+        assert not any(map(eq, drawn(**other), one)), other
+    surroundings, *of_video = drawn(texture="linen")
+    assert surroundings == one[0] and not any(map(eq, of_video, one[1:]))
+    others = [draw_surroundings(LOOKS, 3, f"m{k:02d}_f0100_r00") for k in range(60)]
     assert {other.floor for other in others} == set(FLOORS)
     away = np.array([other.lamp_position_m for other in others]) - LAMP_POSITION_M
     assert 0.15 < np.abs(away).max() <= 0.2
 
 
-def test_a_video_s_camera_is_the_same_whatever_else_there_is():
-    settings = AugmentationSettings(exposure_stops=1, colour_cast=0.2, noise=0.05, jpeg_quality=40)
-    one = draw_camera_effects(settings, 3, "m00_f0100_r00", "dots", "side")
-    assert draw_camera_effects(settings, 3, "m00_f0100_r00", "dots", "side") == one
-    for other in (("m01_f0100_r00", "dots", "side"), ("m00_f0100_r00", "linen", "side")):
-        assert draw_camera_effects(settings, 3, *other) != one
+def test_a_camera_of_another_bench_has_looks_of_its_own_in_every_simulation():
+    here, one = drawn(), drawn(view="bench_1")
+    two = draw_surroundings(LOOKS, 3, "m00_f0100_r00", "v03")
+    assert len({here[0].lamp_position_m, one[0].lamp_position_m, two.lamp_position_m}) == 3
+    assert draw_surroundings(LOOKS, 3, "m00_f0100_r00", "v00") == here[0]
+    for other in ("m00_f1500_r00", "m01_f0100_r00"):
+        assert not any(map(eq, drawn(other, view="bench_1"), one))
+    other_place = LOOKS.model_copy(update={"viewpoints": ["bench_1"]})
+    assert one[0] == draw_surroundings(other_place, 3, "m00_f0100_r00", "v00")
 
 
 def test_a_stop_doubles_the_light_and_a_cast_scales_red_and_blue():
@@ -75,41 +98,3 @@ def test_compression_costs_detail_and_little_else():
     fine = CameraEffects(jpeg_quality=95).photograph(LIGHT, rng()).astype(int)
     assert np.abs(rough - image).mean() > np.abs(fine - image).mean() > 0
     assert np.abs(rough.mean((0, 1)) - image.mean((0, 1))).max() < 3
-
-
-def test_nothing_that_is_drawn_for_an_image_tells_the_friction_coefficient():
-    looks = RenderSettings(
-        floors=list(FLOORS),
-        augmentation={"lamp_m": 0.3, "exposure_stops": 1.0, "colour_cast": 0.2, "noise": 0.1},
-    )
-
-    def drawn(name):
-        effects = draw_camera_effects(looks.augmentation, 3, name, "dots", "side")
-        noise = pixel_noise(3, name, "dots", "side", 7).random()
-        return draw_surroundings(looks, 3, name), effects, noise
-
-    first, *others = (f"m03_f{100 * k:04d}_r01" for k in range(16))
-    assert all(drawn(other) == drawn(first) for other in others)
-    assert drawn("m03_f0100_r02")[0] != drawn(first)[0]
-
-
-def test_a_camera_of_another_bench_has_a_floor_a_lamp_and_colours_of_its_own_in_every_simulation():
-    looks = RenderSettings(
-        viewpoints=["calibrated", "side", "bench_1", "bench_2"],
-        floors=list(FLOORS),
-        augmentation={"lamp_m": 0.3, "exposure_stops": 1.0},
-    )
-    here, aside, one, two = (
-        draw_surroundings(looks, 3, "m03_f0100_r01", view) for view in ("v00", "v01", "v02", "v03")
-    )
-    assert here == aside
-    assert len({here.lamp_position_m, one.lamp_position_m, two.lamp_position_m}) == 3
-    for other in ("m03_f1500_r01", "m04_f0100_r01"):
-        assert one.lamp_position_m != draw_surroundings(looks, 3, other, "v02").lamp_position_m
-        cameras = [
-            draw_camera_effects(looks.augmentation, 3, name, "dots", "bench_1")
-            for name in ("m03_f0100_r01", other)
-        ]
-        assert cameras[0] != cameras[1]
-    other_place = looks.model_copy(update={"viewpoints": ["bench_1"]})
-    assert one == draw_surroundings(other_place, 3, "m03_f0100_r01", "v00")

@@ -6,7 +6,6 @@ from pydantic import ValidationError
 
 from slipstitch.config.catalogue import TEST_ONLY_TEXTURES, TEXTURE_FAMILY, TEXTURES
 from slipstitch.config.render import RenderSettings
-from slipstitch.design.grid import texture_ids, viewpoint_ids
 from slipstitch.images.textures import texture, worn_texture
 
 
@@ -44,17 +43,6 @@ def test_every_film_wears_a_cloth_of_its_own():
     apart = np.abs(pictures[:, None] - pictures[None]).mean(axis=-1)
     assert apart[~np.eye(len(pictures), dtype=bool)].min() > 0.005
     assert worn_texture("denim", 0, "m00_f0100_r00", "bench_1") == "denim"  # of the catalogue
-
-
-def test_ids_count_training_names_first():
-    settings = RenderSettings(
-        textures=["dots", "denim"],
-        test_textures=["chevron"],
-        viewpoints=["side"],
-        test_viewpoints=["calibrated_+5", "frontal"],
-    )
-    assert texture_ids(settings) == {"t00": "dots", "t01": "denim", "t02": "chevron"}
-    assert viewpoint_ids(settings) == {"v00": "side", "v01": "calibrated_+5", "v02": "frontal"}
 
 
 @pytest.mark.parametrize(

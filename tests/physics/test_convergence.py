@@ -13,21 +13,12 @@ from slipstitch.base.provenance import file_digest, recorded_path, write_json
 from slipstitch.config import resolve_config
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.design.stage_path import StagePath
+from slipstitch.physics.convergence import study as module
 from slipstitch.physics.convergence.cases import case_settings, cases
-from slipstitch.physics.convergence.study import (
-    SHIFT_MAX_S,
-    common_vertices,
-    compare,
-    describe,
-    events,
-)
+from slipstitch.physics.convergence.study import common_vertices, compare, describe, events
 from slipstitch.physics.convergence.study_files import convergence_figure
-from slipstitch.physics.simulation.convergence import (
-    BUT_FOR_ITS_COURSE,
-    BUT_FOR_ITS_MOMENT,
-    measured_convergence,
-    worst_verdict,
-)
+from slipstitch.physics.simulation import convergence
+from slipstitch.physics.simulation.convergence import measured_convergence, worst_verdict
 from slipstitch.physics.simulation.trajectory import Trajectory
 
 CONFIG = resolve_config(
@@ -110,8 +101,10 @@ def test_runs_are_compared_at_the_same_and_at_shifted_times():
         assert later["mean_largest_m"] > 1e-3
         assert later["worst_time_s"] == pytest.approx(12, abs=1)
         assert later["events"]["flip"]["shift_s"] == pytest.approx(late_s, abs=0.101)
-    far = compare(made_up_run(late_s=SHIFT_MAX_S + 1.5), finest, (9,))
+    far = compare(made_up_run(late_s=module.SHIFT_MAX_S + 1.5), finest, (9,))
     assert far["shifted_largest_m"] > 1e-3
+    with pytest.raises(BadInput, match="different frames"):
+        compare(finest, replace(finest, time_s=finest.time_s * 2), (9,))
 
 
 @pytest.mark.parametrize(
@@ -178,12 +171,6 @@ def test_an_edge_that_is_thrown_and_falls_back_has_not_slipped():
     assert events(run)["slip"] == pytest.approx(14, abs=0.11)
 
 
-def test_runs_with_different_frames_are_refused():
-    run = made_up_run()
-    with pytest.raises(BadInput, match="different frames"):
-        compare(run, replace(run, time_s=run.time_s * 2), (9,))
-
-
 def test_a_study_is_described_and_drawn():
     late = {0: 0.3, 2: 0.0}
     runs = {
@@ -225,10 +212,6 @@ def test_an_impossible_study_is_refused(change, message):
         resolve_config({"convergence": change})
 
 
-COARSER = {"time_step_s": 0.04, "friction_tolerance": 0.5, "steady_step_s": 0.9,
-           "step_error_m": 1e9, "vertices_per_side": 31}  # fmt: skip
-
-
 def _record(tmp_path, material, friction, **settings):
     path = tmp_path / "convergence.json"
     found = {"mean_m": 2e-4, "mean_largest_m": 1.5e-3, "shifted_largest_m": 4e-4}
@@ -240,7 +223,7 @@ def _record(tmp_path, material, friction, **settings):
             {"material": name, "friction": mu, "time_step": found, "mesh": None, "verdict": verdict}
             for name, mu, verdict in (
                 ("gray-interlock", 0.1, "converged"),
-                ("gray-interlock", 0.5, BUT_FOR_ITS_MOMENT.format(0.2)),
+                ("gray-interlock", 0.5, convergence.BUT_FOR_ITS_MOMENT.format(0.2)),
                 ("gray-interlock", 1.5, "not converged"),
                 ("royal-target", 0.1, "converged"),
                 ("royal-target", 1.5, None),
@@ -275,17 +258,15 @@ def test_a_simulation_s_record_speaks_of_its_own_fabric_and_the_worse_neighbour(
     assert measured_convergence("silk", 0.1, SimulationSettings(), tmp_path / "none.json") is None
 
 
+COARSER = {"time_step_s": 0.04, "friction_tolerance": 0.5, "steady_step_s": 0.9,
+           "step_error_m": 1e9, "vertices_per_side": 31}  # fmt: skip
+OTHER = {"bending_stiffness_at": "start", "damping_s": 0.0, "pins": "corner"}
+FINER = {"time_step_s": 0.01, "vertices_per_side": 61, "step_error_m": 1e-5}
+NO_MATTER = {"frames": 3, "yaw_sd_deg": 0.0, "newton_iterations_max": 2}
+
+
 @pytest.mark.parametrize(
-    "changes, differ",
-    [
-        (COARSER, list(COARSER)),
-        (
-            {"bending_stiffness_at": "start", "damping_s": 0.0, "pins": "corner"},
-            ["bending_stiffness_at", "damping_s", "pins"],
-        ),
-        ({"time_step_s": 0.01, "vertices_per_side": 61, "step_error_m": 1e-5}, []),
-        ({"frames": 3, "yaw_sd_deg": 0.0, "newton_iterations_max": 2}, []),
-    ],
+    "changes, differ", [(COARSER, [*COARSER]), (OTHER, [*OTHER]), (FINER, []), (NO_MATTER, [])]
 )
 def test_a_study_speaks_only_of_runs_with_its_settings_or_finer_ones(tmp_path, changes, differ):
     found = _record(tmp_path, "gray-interlock", 0.1, **changes)
@@ -295,9 +276,9 @@ def test_a_study_speaks_only_of_runs_with_its_settings_or_finer_ones(tmp_path, c
 
 
 def test_of_verdicts_the_worse_has_the_larger_numbers():
-    moments = [BUT_FOR_ITS_MOMENT.format(apart_s) for apart_s in (0.1, 9.0, 10.5)]
+    moments = [convergence.BUT_FOR_ITS_MOMENT.format(apart_s) for apart_s in (0.1, 9.0, 10.5)]
     apart = (0.1, 1.5), (0.5, 9.5), (0.5, 10.0), (9.0, 20.0), (10.5, 1.5), (99.0, 99.0)
-    courses = [BUT_FOR_ITS_COURSE.format(*both) for both in apart]
+    courses = [convergence.BUT_FOR_ITS_COURSE.format(*both) for both in apart]
     for pair in pairwise(["converged", *moments, *courses, "not converged"]):
         assert worst_verdict(pair) == worst_verdict(pair[::-1]) == pair[1]
 
@@ -305,9 +286,8 @@ def test_of_verdicts_the_worse_has_the_larger_numbers():
 @pytest.fixture
 def finished(tmp_path, monkeypatch):
     """A study with its picture and records, and where its summary is kept."""
-    monkeypatch.setattr(
-        "slipstitch.physics.convergence.study_files.MEASURED", tmp_path / "table.json"
-    )
+    place = "slipstitch.physics.convergence.study_files.MEASURED"
+    monkeypatch.setattr(place, tmp_path / "table.json")
     study = describe(CONFIG, {c.id: made_up_run(c.vertices_per_side) for c in cases(CONFIG)})
     write_json(tmp_path / "study.json", study, {"stage": "convergence"})
     with recorded_path(tmp_path / "study.png", {"stage": "convergence"}) as temporary:

@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import scipy.linalg
 
-from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics.cloth import Conditions, SolverSettings, rectangle
 from slipstitch.physics.experiments.specimen import started
 from slipstitch.physics.fabric import isotropic_tables
@@ -99,8 +98,3 @@ def test_without_the_method_s_own_share_the_decay_is_that_of_the_continuum(mode)
 
     coarse, fine = share(0.05 / w), share(0.025 / w)
     assert 2 * fine - coarse == pytest.approx(tau * w**2 / 2, rel=0.005)
-
-
-def test_damping_is_a_setting_of_the_simulation():
-    settings = SolverSettings.of(SimulationSettings(damping_s=0.01))
-    assert settings.damping_s == 0.01

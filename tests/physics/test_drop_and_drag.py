@@ -8,8 +8,8 @@ import pytest
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.design.stage_path import StagePath
 from slipstitch.physics.cloth import ClothSolver
+from slipstitch.physics.simulation import drop_and_drag as module
 from slipstitch.physics.simulation.drop_and_drag import (
-    LANDING_S,
     DropAndDrag,
     Landing,
     draw_perturbation,
@@ -36,22 +36,15 @@ def test_the_stage_follows_the_protocol_of_the_paper():
         speed = np.gradient(along, time_s)
         assert np.abs(speed).max() <= 0.010 * (1 + 1e-6)
         assert np.abs(np.gradient(speed, time_s)).max() <= 0.010 * (1 + 1e-3)
+    short = StagePath(drop_m=0.0025)  # it never reaches full speed
+    assert short.drop_duration_s == pytest.approx(1.0)
+    assert short.position_m(0.5)[1] == pytest.approx(0.21 - 0.00125)
 
 
-def test_a_short_stroke_never_reaches_full_speed():
-    path = StagePath(drop_m=0.0025)
-    assert path.drop_duration_s == pytest.approx(1.0)
-    assert path.position_m(0.5)[1] == pytest.approx(0.21 - 0.00125)
-
-
-def test_every_accepted_step_is_converged(run):
-    _, columns = run
+def test_steps_are_converged_tabs_follow_the_stage_and_the_cloth_hangs_hardly_stretched(run):
+    trajectory, columns = run
     assert columns["residual"].max() <= SMALL.friction_tolerance
     assert (columns["newton_iterations"][1:] > 0).all()
-
-
-def test_tabs_hold_a_centimetre_at_each_corner_and_follow_the_stage(run):
-    trajectory, _ = run
     held_m = trajectory.positions_m[:, trajectory.pinned]
     for axis, stage_m in ((0, trajectory.stage_x_m), (2, trajectory.stage_z_m)):
         moved_m = held_m[..., axis] - held_m[0, :, axis]
@@ -59,15 +52,11 @@ def test_tabs_hold_a_centimetre_at_each_corner_and_follow_the_stage(run):
     u = trajectory.uv[trajectory.pinned, 0] * 0.2
     assert (trajectory.uv[trajectory.pinned, 1] == 0).all()
     np.testing.assert_allclose(np.sort(u), [0, 0.01, 0.19, 0.2], atol=1e-9)
-
-
-def test_the_cloth_hangs_free_hardly_stretched_and_the_floor_holds_it(run):
-    height_m = run[0].positions_m[..., 2]
+    height_m = trajectory.positions_m[..., 2]
     assert 0.005 < height_m[0].min() < 0.012
     # 0.324 kg/m2 over 0.2 m against some 2000 N/m: a stretch well below a per mille.
     assert np.ptp(height_m[0]) == pytest.approx(0.2, rel=5e-3)
-    assert height_m.min() > -1e-5
-    assert height_m[-1].min() < 1e-4  # and it did get there
+    assert height_m.min() > -1e-5 and height_m[-1].min() < 1e-4  # it did get to the floor
 
 
 def test_a_seed_is_a_bench_the_same_bits_again_and_the_same_at_every_coefficient(run):
@@ -89,7 +78,7 @@ def test_a_seed_is_a_bench_the_same_bits_again_and_the_same_at_every_coefficient
     assert np.abs(trajectory.positions_m[0] - other.positions_m[0]).max() > 1e-5
 
 
-def test_perturbations_have_the_stated_spread():
+def test_perturbations_have_the_stated_spread_but_of_ideal_benches():
     drawn = [draw_perturbation(SMALL, seed) for seed in range(2000)]
     assert np.std([p.yaw_deg for p in drawn]) == pytest.approx(SMALL.yaw_sd_deg, rel=0.1)
     assert np.std([p.height_m for p in drawn]) == pytest.approx(SMALL.height_sd_m, rel=0.1)
@@ -102,14 +91,11 @@ def test_perturbations_have_the_stated_spread():
     turned = SMALL.model_copy(update={"curl_side": "alternating"})
     curls = [draw_perturbation(turned, seed=7, replicate=r).natural_curl_per_m for r in range(4)]
     assert curls == [0.5, -0.5, 0.5, -0.5]
-
-
-def test_the_first_replicates_may_be_of_an_ideal_bench():
     ideal = SMALL.model_copy(update={"ideal_replicates": 2})
     for replicate in (0, 1):
-        drawn = draw_perturbation(ideal, 5, replicate)
-        assert (drawn.yaw_deg, drawn.height_m) == (0.0, 0.0)
-        assert drawn.density_factor == drawn.stretching_factor == drawn.bending_factor == 1.0
+        bench = draw_perturbation(ideal, 5, replicate)
+        assert (bench.yaw_deg, bench.height_m) == (0.0, 0.0)
+        assert bench.density_factor == bench.stretching_factor == bench.bending_factor == 1.0
     assert draw_perturbation(ideal, 5, 2) == draw_perturbation(SMALL, 5)
 
 
@@ -168,7 +154,7 @@ def test_no_long_step_is_taken_while_the_cloth_lands(monkeypatch):
         # By which step the cloth first touches is decided by the last bits: a long one is offered.
         if not long_ones:
             long_ones.append(confirm(landing, x, settings.steady_step_s))
-        lands = landing._solver.time_s <= landing._touched_s + LANDING_S
+        lands = landing._solver.time_s <= landing._touched_s + module.LANDING_S
         answer = confirm(landing, x, step_s)
         if lands and answer:
             taken.append(step_s)

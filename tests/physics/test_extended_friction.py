@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import warp as wp
+from scipy.optimize import bisect
 
 from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.cloth import Conditions, SolverSettings, rectangle
@@ -45,20 +46,11 @@ QUANTITIES = tuple(ContactState.vars)
 def _limits(
     values: wp.array(dtype=wp.float64),
     at_rest: bool,
-    states: wp.array(dtype=wp.float64, ndim=2),
+    states: wp.array(dtype=ContactState),
     limits: wp.array(dtype=wp.float64),
 ):
     i = wp.tid()
-    state = ContactState()
-    state.normal_force_N = states[i, 0]
-    state.area_m2 = states[i, 1]
-    state.direction_rad = states[i, 2]
-    state.dwell_s = states[i, 3]
-    state.speed_m_s = states[i, 4]
-    state.repeats = states[i, 5]
-    state.relative_humidity_pct = states[i, 6]
-    state.place_m = states[i, 7]
-    limits[i] = force_limit(wp.float64(0.4), values, at_rest, state)
+    limits[i] = force_limit(wp.float64(0.4), values, at_rest, states[i])
 
 
 @pytest.mark.parametrize("static", [True, False])
@@ -76,11 +68,16 @@ def test_warp_and_numpy_evaluate_the_same_law(law, static):
     states = low + (high - low) * random.random((500, 8))
     limits = wp.zeros(500, dtype=wp.float64, device="cpu")
     values = wp.array(law.parameter_values(), dtype=wp.float64, device="cpu")
-    inputs = [values, static, wp.array(states, dtype=wp.float64, device="cpu"), limits]
+    rows = np.array([*map(tuple, states)], dtype=ContactState.numpy_dtype())
+    inputs = [values, static, wp.array(rows, dtype=ContactState, device="cpu"), limits]
     wp.launch(_limits, dim=500, inputs=inputs, device="cpu")
     expected = law.force_limit(Contact(**dict(zip(QUANTITIES, states.T, strict=True))), static)
     assert expected.std() > 0
     np.testing.assert_allclose(limits.numpy(), expected, rtol=1e-13)
+
+
+def gravity(slope_rad):
+    return GRAVITY_M_S2 * math.sin(slope_rad), 0.0, -GRAVITY_M_S2 * math.cos(slope_rad)
 
 
 def slope_solver(law, slope_rad, conditions=None, speed_m_s=0.0, rested_s=0.0):
@@ -96,7 +93,7 @@ def slope_solver(law, slope_rad, conditions=None, speed_m_s=0.0, rested_s=0.0):
     solver.start()
     solver.floor.rest(rested_s)
     for angle in np.linspace(0, slope_rad, TILT_STEPS + 1)[1:]:
-        solver.set_gravity((GRAVITY_M_S2 * math.sin(angle), 0.0, -GRAVITY_M_S2 * math.cos(angle)))
+        solver.set_gravity(gravity(angle))
         solver.advance(STEP_S)
     solver.velocities_m_s[:, 0] += speed_m_s
     return solver
@@ -111,13 +108,12 @@ def travelled(solver, duration_s=0.4):
 
 def threshold_rad(law, contact):
     """Slope at which W sin = F(W cos), by bisection on the law as NumPy has it."""
-    low, high = 0.0, 1.2
-    for _ in range(60):
-        middle = (low + high) / 2
-        load = PRESSURE_PA * math.cos(middle)
-        limit = law.force_limit(contact.with_load(load, 1.0), static=True)
-        low, high = (middle, high) if PRESSURE_PA * math.sin(middle) < limit else (low, middle)
-    return low
+
+    def margin(slope):
+        load = PRESSURE_PA * math.cos(slope)
+        return law.force_limit(contact.with_load(load, 1.0), True) - PRESSURE_PA * math.sin(slope)
+
+    return bisect(margin, 0.0, 1.2, xtol=1e-14)
 
 
 # warp angle such that the cloth slides at 0.5 rad from the warp: -v is at -pi/2 from u.
@@ -181,7 +177,7 @@ def test_a_curve_over_the_place_stops_a_slide_where_friction_has_grown():
     law = FrictionLaw(MU, {}, Curve("place_m", (0.0, 0.1), (1.0, 2.0)))
     slope = math.atan(1.2 * MU)
     solver = slope_solver(law, 0.0)
-    solver.set_gravity((GRAVITY_M_S2 * math.sin(slope), 0.0, -GRAVITY_M_S2 * math.cos(slope)))
+    solver.set_gravity(gravity(slope))
     start_m = solver.positions_m[:, 0].mean()
     for _ in range(400):  # of a quarter of the usual step, which takes 6 % of the energy
         solver.advance(STEP_S / 4)

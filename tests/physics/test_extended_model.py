@@ -61,9 +61,6 @@ def test_what_moves_the_cloth_is_told_from_what_changes_readings(tmp_path):
 def test_what_is_wrong_with_a_file_is_said(changes, words, tmp_path):
     with pytest.raises(BadInput, match=words):
         read_extended_model(written(tmp_path, **changes))
-
-
-def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(BadInput, match=r"none\.yaml: cannot be read"):
         read_extended_model(tmp_path / "none.yaml")
 
@@ -105,10 +102,7 @@ def test_a_table_of_factors_is_read_in_its_covariate_s_unit(tmp_path):
     place = TABLE | {"covariate": "pos_x_mm", "knots": [0.0, 50.0]}
     law = read_extended_model(written(tmp_path, discrepancy=place)).law
     assert law.curve.knots == (0.0, 0.05)
-
-
-def test_a_factor_by_the_time_of_a_session_is_checked_and_left_out(tmp_path):
-    drift = TABLE | {"covariate": "clock_min"}
+    drift = TABLE | {"covariate": "clock_min"}  # checked, and left out
     assert read_extended_model(written(tmp_path, discrepancy=drift)).law.curve is None
     with pytest.raises(BadInput, match="2 knots and 3 factors"):
         read_extended_model(written(tmp_path, discrepancy=drift | {"factors": [1, 1, 1]}))

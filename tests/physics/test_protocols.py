@@ -21,35 +21,30 @@ FINE = SimulationSettings(time_step_s=0.02, friction_tolerance=1e-4)
 
 
 def _incline(friction, multiple, step_s, **settings):
-    slope_deg = math.degrees(math.atan(multiple * friction))
-    return run_protocol(
-        "incline",
-        {"friction": friction, "slope_deg": slope_deg},
-        SimulationSettings(time_step_s=step_s, **settings),
-    )
+    options = {"friction": friction, "slope_deg": math.degrees(math.atan(multiple * friction))}
+    return run_protocol("incline", options, SimulationSettings(time_step_s=step_s, **settings))
 
 
 @pytest.mark.parametrize("step_s", STEPS_S)
 @pytest.mark.parametrize("friction", FRICTIONS)
-def test_cloth_sticks_just_below_the_threshold_and_does_not_creep(friction, step_s):
-    result = _incline(friction, 0.999, step_s)
-    assert result["sticks"]
-    assert result["creep_m"] < 1e-6
-
-
-@pytest.mark.parametrize("step_s", STEPS_S)
-@pytest.mark.parametrize("friction", FRICTIONS)
-@pytest.mark.parametrize("multiple", [1.001, 1.5])
-def test_cloth_slides_above_the_threshold_with_the_theoretical_acceleration(
-    friction, multiple, step_s
+def test_cloth_sticks_without_creep_below_the_threshold_and_slides_as_theory_says_above(
+    friction, step_s
 ):
-    assert not _incline(friction, multiple, step_s)["sticks"]
+    result = _incline(friction, 0.999, step_s)
+    assert result["sticks"] and result["creep_m"] < 1e-6
     # What is left of the forces is compared: at 1.001 a thousandth of what the tolerance refers to.
-    tolerance = SimulationSettings().friction_tolerance * (multiple - 1 if multiple < 1.5 else 1)
-    result = _incline(friction, multiple, step_s, friction_tolerance=tolerance)
-    assert result["acceleration_m_s2"] == pytest.approx(
-        result["theory_acceleration_m_s2"], rel=1e-3
-    )
+    for multiple, share in ((1.001, 1e-3), (1.5, 1.0)):
+        assert not _incline(friction, multiple, step_s)["sticks"]
+        tolerance = SimulationSettings().friction_tolerance * share
+        result = _incline(friction, multiple, step_s, friction_tolerance=tolerance)
+        theory = result["theory_acceleration_m_s2"]
+        assert result["acceleration_m_s2"] == pytest.approx(theory, rel=1e-3)
+
+
+def test_frictionless_cloth_slides_on_any_slope():
+    result = run_protocol("incline", {"friction": 0.0, "slope_deg": 0.5}, SimulationSettings())
+    expected = GRAVITY_M_S2 * math.sin(math.radians(0.5))
+    assert not result["sticks"] and result["acceleration_m_s2"] == pytest.approx(expected, rel=1e-3)
 
 
 @pytest.mark.parametrize("static, kinetic", [(0.2, 0.16), (0.6, 0.48), (0.5, 0.5)])
@@ -87,18 +82,17 @@ def test_the_simulator_gives_the_answer_of_theory(name, values, demands):
     assert 0 < result.get("bending_over_tension", 0.005) < 0.01
 
 
-@pytest.mark.parametrize("gamma", [0.02897723, 0.028977230769230772])
-def test_the_foot_s_throw_is_solved_whatever_the_last_digits_of_the_weight(gamma):
-    result = run_protocol("strip", {"friction": 0.34, "gamma": gamma}, SimulationSettings())
-    assert result["slip_strain"] == pytest.approx(result["theory_slip_strain"], abs=1e-3)
-
-
-@pytest.mark.parametrize("friction", [0.05, 0.2, 0.35])
-def test_the_foot_of_a_pushed_strip_slips_where_the_elastica_says(friction):
-    result = run_protocol("strip", {"friction": friction}, FINE)
+# At the last two the foot's throw hangs on the last digits of the weight.
+@pytest.mark.parametrize(
+    "friction, gamma",
+    [(0.05, 0.0), (0.2, 0.0), (0.35, 0.0), (0.34, 0.02897723), (0.34, 0.028977230769230772)],
+)
+def test_the_foot_of_a_pushed_strip_slips_where_the_elastica_says(friction, gamma):
+    settings = SimulationSettings() if gamma else FINE
+    result = run_protocol("strip", {"friction": friction, "gamma": gamma}, settings)
     assert result["regime"] == result["theory_regime"] == "slipped"
     assert result["slip_strain"] == pytest.approx(result["theory_slip_strain"], abs=0.001)
-    assert result["friction_at_slip"] == pytest.approx(friction, abs=1e-4)
+    assert result["friction_at_slip"] == pytest.approx(friction, abs=1e-3 if gamma else 1e-4)
     assert result["friction_read_from_strain"] == pytest.approx(friction, abs=0.001)
 
 
@@ -178,14 +172,6 @@ def test_lateral_buckling_of_a_narrow_strip():
     assert result["torsion_over_plate"] == pytest.approx(4.0, rel=0.01)
 
 
-def test_frictionless_cloth_slides_on_any_slope():
-    result = run_protocol("incline", {"friction": 0.0, "slope_deg": 0.5}, SimulationSettings())
-    assert not result["sticks"]
-    assert result["acceleration_m_s2"] == pytest.approx(
-        GRAVITY_M_S2 * math.sin(math.radians(0.5)), rel=1e-3
-    )
-
-
 @pytest.mark.parametrize(
     "name, options, message",
     [
@@ -195,8 +181,6 @@ def test_frictionless_cloth_slides_on_any_slope():
         ("flat-drag", {"friction": float("nan")}, "friction must be at least 0 .*, not nan"),
         ("flat-drag", {"friction": 0.3, "colour": 1}, "unknown option 'colour'"),
         ("strip", {"friction": 0.3, "vertices": 3}, "vertices must be at least 8, not 3"),
-        ("strip", {"friction": 0.3, "gamma": 0.5}, "gamma must be .* at most 0.3, not 0.5"),
-        ("landed-strip", {"friction": 0.01}, "friction must be at least 0.02"),
         ("landed-strip", {"friction": 0.3, "gravity_length_m": 0}, "gravity_length_m must .*0.01"),
         ("capstan", {"friction": 3, "wrap_deg": 180}, "at most 100"),
     ],

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import warp as wp
 from scipy.optimize import minimize
+from scipy.spatial.transform import Rotation
 from support.mesh_intersections import crossing_pairs
 
 from slipstitch.config.simulation import SimulationSettings
@@ -74,19 +75,41 @@ def test_distances_are_the_least_that_a_general_minimiser_finds(kind):
         assert found == pytest.approx(math.sqrt(best), abs=1e-5)
 
 
+def _two_sheets(lower: ClothMesh, upper: ClothMesh, place_m: np.ndarray, gap_m: float, z_m=0.0):
+    """Both as one mesh, and its positions: the upper one over places on the lower one."""
+    mesh, n = _pile(lower, upper), lower.vertex_count
+    x = np.full((mesh.vertex_count, 3), z_m)
+    x[:n, :2], x[n:, :2] = lower.rest_uv_m, place_m
+    x[n:, 2] += gap_m
+    return mesh, x
+
+
 def _crossed_strips(gap_m: float, friction: float = 0.0):
     """Two small sheets, the upper one turned, a gap apart; a contact that covers them."""
     lower, upper = rectangle(4, 4, 0.015, 0.015), rectangle(3, 3, 0.010, 0.010)
-    mesh = _pile(lower, upper)
-    x = np.zeros((mesh.vertex_count, 3))
-    x[:16, :2] = lower.rest_uv_m
-    x[16:, :2] = (upper.rest_uv_m - 0.005) @ TURN.T + 0.0074
-    x[16:, 2] = gap_m
+    place_m = (upper.rest_uv_m - 0.005) @ TURN.T + 0.0074
+    mesh, x = _two_sheets(lower, upper, place_m, gap_m)
     layers = SelfContact(
         mesh, thickness_m=THICKNESS_M, stiffness_N_m=5.0, friction=friction, device="cpu"
     )
     layers.cover(x, x)
     return layers, x
+
+
+def _solver(mesh, x, held, friction, **settings):
+    """Of a soft cloth, some of whose vertices are held."""
+    fixed = np.zeros((mesh.vertex_count, 3), bool)
+    fixed[held] = True
+    solver = ClothSolver(
+        mesh,
+        isotropic_tables(0.2, 200.0, 5e-5),
+        x,
+        friction=friction,
+        fixed=fixed,
+        settings=SolverSettings(self_contact=True, **settings),
+    )
+    solver.start()
+    return solver
 
 
 def _forces(layers, x):
@@ -97,16 +120,14 @@ def _forces(layers, x):
 
 def _potential(layers, x):
     """Of k (d0 - d) d0 / d, from distances by the test's own geometry of crossing layers."""
-    at = wp.zeros(1, dtype=wp.vec2d)
-    gap = wp.zeros(1, dtype=wp.float64)
-    total = 0.0
-    for number, (nodes, kind) in enumerate(
-        zip(layers.nodes, layers.pairs.kinds.numpy(), strict=True)
+    total, (at, gap) = 0.0, (wp.zeros(1, dtype=kind) for kind in (wp.vec2d, wp.float64))
+    pairs = layers.pairs
+    for nodes, kind, d0 in zip(
+        layers.nodes, pairs.kinds.numpy(), pairs.thicknesses.numpy(), strict=True
     ):
         arrays = [wp.array(x, dtype=wp.vec3d), wp.array(nodes[None], dtype=wp.vec4i)]
         wp.launch(_closest, dim=1, inputs=[int(kind), *arrays, at, gap])
-        d, d0 = gap.numpy()[0], layers.pairs.thicknesses.numpy()[number]
-        if d < d0:
+        if (d := gap.numpy()[0]) < d0:
             total += layers.stiffness_N_m * d0 * (d0 * math.log(d0 / d) - (d0 - d))
     return total
 
@@ -139,33 +160,17 @@ def test_a_pair_that_turns_as_a_whole_bears_no_friction():
     layers, x = _crossed_strips(0.9e-3, friction=1.0)
     layers.move_anchors(wp.array(x, dtype=wp.vec3d))
     force = _forces(layers, x)
-    angle = 0.4
-    turn = np.array(
-        [[math.cos(angle), 0, math.sin(angle)], [0, 1, 0], [-math.sin(angle), 0, math.cos(angle)]]
-    )
+    turn = Rotation.from_rotvec([0, 0.4, 0]).as_matrix()
     assert _forces(layers, x @ turn.T) == pytest.approx(force @ turn.T, abs=1e-9)
 
 
 def _layer_on_incline(friction, multiple, step_s):
     """Slide of a sheet on a held sheet, both tilted: distance and mean acceleration in 0.5 s."""
     lower, upper = rectangle(9, 9, 0.04, 0.04), rectangle(4, 4, 0.015, 0.015)
-    mesh = _pile(lower, upper)
+    place_m = (upper.rest_uv_m - 0.0075) @ TURN.T + 0.0112
+    mesh, x = _two_sheets(lower, upper, place_m, THICKNESS_M, 0.1)
     slope = math.atan(multiple * friction)
-    x = np.full((mesh.vertex_count, 3), 0.1)
-    x[:81, :2] = lower.rest_uv_m
-    x[81:, :2] = (upper.rest_uv_m - 0.0075) @ TURN.T + 0.0112
-    x[81:, 2] += THICKNESS_M
-    fixed = np.zeros((mesh.vertex_count, 3), bool)
-    fixed[:81] = True
-    solver = ClothSolver(
-        mesh,
-        isotropic_tables(0.2, 200.0, 5e-5),
-        x,
-        friction=friction,
-        fixed=fixed,
-        settings=SolverSettings(friction_tolerance=1e-6, self_contact=True, damping_s=0.0),
-    )
-    solver.start()
+    solver = _solver(mesh, x, np.arange(81), friction, friction_tolerance=1e-6, damping_s=0.0)
     held = x.copy()
     for _ in range(200):  # come to rest on the lower sheet
         solver.advance(step_s, lambda _: held)
@@ -204,17 +209,8 @@ def test_the_check_for_crossings_finds_an_edge_through_a_triangle(through):
 @pytest.mark.parametrize("speed_m_s", [0.1, 1.0, 5.0])
 def test_layers_thrown_at_each_other_do_not_pass_through(speed_m_s):
     lower, upper = rectangle(9, 9, 0.04, 0.04), rectangle(6, 6, 0.02, 0.02)
-    mesh = _pile(lower, upper)
-    x = np.full((mesh.vertex_count, 3), 0.3)
-    x[:81, :2] = lower.rest_uv_m
-    x[81:, :2] = upper.rest_uv_m + 0.0105
-    x[81:, 2] += 0.02
-    fixed = np.zeros((mesh.vertex_count, 3), bool)
-    fixed[[0, 8, 72, 80]] = True
-    settings = SolverSettings(friction_tolerance=1e-3, self_contact=True)
-    material = isotropic_tables(0.2, 200.0, 5e-5)
-    solver = ClothSolver(mesh, material, x, friction=0.3, fixed=fixed, settings=settings)
-    solver.start()
+    mesh, x = _two_sheets(lower, upper, upper.rest_uv_m + 0.0105, 0.02, 0.3)
+    solver = _solver(mesh, x, [0, 8, 72, 80], 0.3, friction_tolerance=1e-3)
     solver.velocities_m_s[81:, 2] = -speed_m_s
     for _ in range(12):
         solver.advance(0.02, lambda _: x)
@@ -224,10 +220,7 @@ def test_layers_thrown_at_each_other_do_not_pass_through(speed_m_s):
 
 
 def _frames_with_crossings(trajectory) -> int:
-    return sum(
-        len(crossing_pairs(positions_m, trajectory.faces)) > 0
-        for positions_m in trajectory.positions_m
-    )
+    return sum(len(crossing_pairs(x_m, trajectory.faces)) > 0 for x_m in trajectory.positions_m)
 
 
 @pytest.mark.default_cases(1)

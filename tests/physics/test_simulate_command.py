@@ -20,14 +20,9 @@ RUN = "--material gray-interlock --friction 0.3"
 TINY = "--set vertices_per_side=9 --set frames=3 --set settle_s=0.2"
 
 
-@pytest.fixture(scope="module")
-def trajectory_file(tmp_path_factory):
-    path = tmp_path_factory.mktemp("simulate") / "x.parquet"
-    assert run(f"simulate {RUN} {TINY} --out {path}") == 0
-    return path
-
-
-def test_one_row_a_frame_with_the_documented_columns_and_metadata(trajectory_file):
+def test_one_row_a_frame_with_the_documented_columns_and_metadata(tmp_path):
+    trajectory_file = tmp_path / "x.parquet"
+    assert run(f"simulate {RUN} {TINY} --out {trajectory_file}") == 0
     table = pq.read_table(trajectory_file)
     assert table.num_rows == 3
     assert table.schema.field("differences_um").type == pa.list_(pa.int32(), 3 * 81)
@@ -40,13 +35,9 @@ def test_one_row_a_frame_with_the_documented_columns_and_metadata(trajectory_fil
     assert metadata["material"] == "gray-interlock"
     assert metadata["solver"]["largest_residual"] <= metadata["settings"]["friction_tolerance"]
     assert read_provenance(trajectory_file)["stage"] == "simulate"
-
-
-def test_the_seed_at_the_command_line_reaches_the_bench(trajectory_file, tmp_path):
-    other = tmp_path / "other.parquet"
+    other = trajectory_file.with_name("other.parquet")
     assert run(f"simulate {RUN} --seed 1 {TINY} --out {other}") == 0
-    one, two = (read_trajectory(file).metadata for file in (trajectory_file, other))
-    assert one["perturbation"] != two["perturbation"]
+    assert read_metadata(other)["perturbation"] != metadata["perturbation"]
 
 
 @pytest.mark.slow

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_bvp, trapezoid
 from scipy.linalg import eig
-from scipy.special import ellipeinc, ellipk, ellipkinc
+from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 from support.departures.strip import chebyshev
 
 from slipstitch.base.errors import BadInput
@@ -28,24 +28,18 @@ from slipstitch.physics.experiments.strip import (
 from slipstitch.physics.experiments.strip_drag import flexible_strip_drag, steady_strip_drag
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.1, 0.5, 1.2])
-def test_incline_sticks_up_to_the_angle_of_friction(friction):
+@pytest.mark.parametrize("friction", [0.0, 0.1, 0.3, 0.5, 1.2])
+def test_incline_sticks_up_to_the_angle_of_friction_then_loses_in_heat_what_friction_takes(
+    friction,
+):
+    """Energy over 1 s from rest: m g h = ½ m v² + μ m g cos θ · distance."""
     assert incline_theory(friction, math.atan(0.999 * friction)) == 0.0
     assert 0.0 < incline_theory(friction, math.atan(1.001 * friction) + 1e-9) < 0.02
-
-
-def test_incline_without_friction_falls_with_the_slopes_share_of_gravity():
-    assert incline_theory(0.0, math.radians(30)) == pytest.approx(9.81 / 2)
-
-
-def test_sliding_loses_in_heat_what_friction_takes():
-    """Energy over 1 s from rest: m g h = ½ m v² + μ m g cos θ · distance."""
-    friction, slope = 0.3, math.radians(35)
+    slope = math.atan(friction) + 0.3
     acceleration = incline_theory(friction, slope)
     distance, speed = 0.5 * acceleration, acceleration
-    released = 9.81 * distance * math.sin(slope)
     heat = friction * 9.81 * math.cos(slope) * distance
-    assert released == pytest.approx(0.5 * speed**2 + heat)
+    assert 9.81 * distance * math.sin(slope) == pytest.approx(0.5 * speed**2 + heat)
 
 
 def test_capstan_is_the_limit_of_many_small_turns():
@@ -65,19 +59,11 @@ def test_narrow_strip_buckles_where_the_torsion_equation_has_its_first_eigenvalu
     values = values[np.isfinite(values) & (np.abs(values) < 1e6)].real
     k = math.sqrt(values[values > 1].min())
     assert k == pytest.approx(12.854, abs=1e-3)
-    assert lateral_buckling_theory(1.0, 2.0) == pytest.approx(k * math.sqrt(2), rel=1e-4)
-
-
-@pytest.mark.parametrize("ratio", [0.0, 0.3, 0.5])
-def test_lateral_buckling_combines_bending_and_torsion_of_the_strip(ratio):
-    """k √(EI·GJ)/(D b) with EI and GJ of a thin rectangle."""
-    young, thickness, width = 1e6, 1e-3, 0.01
-    bending = young * width * thickness**3 / 12
-    torsion = young / (2 * (1 + ratio)) * width * thickness**3 / 3
-    plate = young * thickness**3 / (12 * (1 - ratio**2)) * width
-    expected = 12.854 * math.sqrt(2) * (1 - ratio) * math.sqrt(1 + ratio)
-    found = lateral_buckling_theory(bending / plate, torsion / plate)
-    assert found == pytest.approx(expected, rel=1e-4)
+    # EI and GJ of a thin rectangle, over the plate's rigidity times width.
+    for ratio in (0.0, 0.3, 0.5):
+        bending, torsion = 1 - ratio**2, 2 * (1 - ratio)
+        expected = k * math.sqrt(2) * (1 - ratio) * math.sqrt(1 + ratio)
+        assert lateral_buckling_theory(bending, torsion) == pytest.approx(expected, rel=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -85,15 +71,11 @@ def test_lateral_buckling_combines_bending_and_torsion_of_the_strip(ratio):
     [
         (incline_theory, (-1.0, 0.1), "friction must be at least 0, not -1"),
         (incline_theory, (0.3, 2.0), "slope_rad"),
-        (capstan_theory, (0.3, -1.0), "wrap_rad"),
-        (heavy_cantilever, (1e6,), "gamma"),
         (landed_strip_theory, (1e5,), "gamma must be at least 0 and at most 3000, not 100000"),
         (strip_slip_strain, ("rough",), "friction must be a number, not 'rough'"),
         (strip_slip_strain, (math.nan,), "friction"),
         (strip_state, (0.34,), r"strain must be .* at most 0\.330"),
-        (steady_strip_drag, (0.3, 0.0, 0.15, 0.01), "^length_m"),
         (steady_strip_drag, (0.3, 0.2, math.inf, 0.01), "height_m"),
-        (steady_strip_drag, (0.3, 0.2, 0.15, 0.3), "gravity_length_m"),
         (steady_strip_drag, (0.3, 0.1, 0.15, 0.01), "height_m must be below length_m"),
     ],
 )
@@ -102,14 +84,14 @@ def test_impossible_arguments_are_refused_by_name(theory, arguments, said):
         theory(*arguments)
 
 
-@pytest.mark.parametrize(("gamma", "ratio"), [(1.0, 0.12456), (10.0, 1.0668), (100.0, 5.888)])
-def test_height_over_width_is_the_published_one(gamma, ratio):
-    assert heavy_cantilever(gamma).height_over_width == pytest.approx(ratio, rel=1e-4)
-
-
-def test_small_sag_is_that_of_a_beam():
-    """Tip deflection w L⁴ / 8 B."""
-    assert heavy_cantilever(0.01).height_over_width == pytest.approx(0.01 / 8, rel=1e-4)
+def test_height_over_width_is_the_published_one_a_beam_s_and_the_textile_rule_s():
+    """A beam's tip sinks by w L⁴ / 8 B; at 41.5° B = ρ g (L/2)³ (Peirce 1930, ASTM D1388)."""
+    known = {0.01: 0.01 / 8, 1.0: 0.12456, 8.0: math.tan(math.radians(41.5)), 10.0: 1.0668}
+    known |= {100.0: 5.888}
+    ratios = {gamma: heavy_cantilever(gamma).height_over_width for gamma in (*known, 1e3, 1e4)}
+    assert list(ratios.values()) == sorted(ratios.values())
+    for gamma, ratio in known.items():
+        assert ratios[gamma] == pytest.approx(ratio, rel=7e-4 if gamma == 8 else 1e-4)
 
 
 @pytest.mark.parametrize("gamma", [5.0, 300.0])
@@ -126,45 +108,23 @@ def test_collocation_finds_the_same_tip_angle(gamma):
     assert solution.y[0, -1] == pytest.approx(heavy_cantilever(gamma).tip_angle_rad, abs=1e-6)
 
 
-def test_it_hangs_lower_the_heavier_it_is():
-    gammas = (0.1, 1.0, 10.0, 100.0, 1000.0, 10000.0)
-    ratios = [heavy_cantilever(gamma).height_over_width for gamma in gammas]
-    assert ratios == sorted(ratios)
-
-
-def test_the_textile_rule_of_41_5_degrees_is_gamma_8():
-    """Peirce 1930, ASTM D1388: where the chord stands at 41.5°, B = ρ g (L/2)³."""
-    chord = math.atan(heavy_cantilever(8.0).height_over_width)
-    assert math.degrees(chord) == pytest.approx(41.5, abs=0.02)
-
-
 PUBLISHED = (0.01238, 0.04687, 0.09690, 0.15487, 0.21446, 0.27156, 0.32399)
 
 
-def test_slip_strains_are_the_published_ones():
+def test_slip_strains_and_the_flat_foot_are_the_published_ones():
     found = [strip_slip_strain(friction / 20) for friction in range(1, 8)]
     assert found == pytest.approx(PUBLISHED, abs=1e-5)
-
-
-def test_the_foot_lies_flat_at_the_published_strain_and_with_more_friction_never_slips():
+    assert strip_state(strip_slip_strain(0.2)).load_ratio == pytest.approx(0.2, abs=1e-7)
     flat = strip_state_at_foot_angle(math.pi / 2)
     assert flat.strain == pytest.approx(0.3303, abs=5e-5)
     assert flat.load_ratio == pytest.approx(0.3564, abs=5e-5)
     assert strip_slip_strain(0.3563) is not None
-    assert strip_slip_strain(0.3565) is None
-    assert strip_slip_strain(1.5) is None
-
-
-def test_without_friction_it_slips_as_soon_as_it_buckles():
-    assert strip_slip_strain(0.0) == 0.0
-    assert 0.0 < strip_slip_strain(1e-3) < 1e-5
-
-
-def test_it_buckles_at_the_clamped_hinged_load():
-    assert strip_buckling_load() == pytest.approx(20.19, abs=5e-3)
-    assert strip_state_at_foot_angle(0.01).vertical_load == pytest.approx(
-        strip_buckling_load(), rel=1e-4
-    )
+    assert strip_slip_strain(0.3565) is strip_slip_strain(1.5) is None
+    # Without friction it slips as soon as it buckles: at the clamped-hinged load.
+    assert strip_slip_strain(0.0) == 0.0 < strip_slip_strain(1e-3) < 1e-5
+    buckling = strip_buckling_load()
+    assert buckling == pytest.approx(20.19, abs=5e-3)
+    assert strip_state_at_foot_angle(0.01).vertical_load == pytest.approx(buckling, rel=1e-4)
 
 
 @pytest.mark.parametrize("foot_angle", [0.1, 0.5, 1.0, 1.4, math.pi / 2])
@@ -184,9 +144,7 @@ def test_state_satisfies_the_elliptic_integrals_of_the_elastica(foot_angle):
     assert arc == pytest.approx(math.sqrt(total), rel=1e-8)
     sign, turns = arcs[arc]
     # ∫ cos ψ ds = (2 E − arc)/√R with E the integral of dn² over that arc.
-    second_kind = sign * ellipeinc(amplitude, modulus**2) + turns * ellipeinc(
-        math.pi / 2, modulus**2
-    )
+    second_kind = sign * ellipeinc(amplitude, modulus**2) + turns * ellipe(modulus**2)
     along = (2.0 * second_kind - arc) / math.sqrt(total)
     # With the foot under the clamp the whole chord is vertical: ∫ cos ψ = (1 − ε) cos lean.
     assert along == pytest.approx((1.0 - state.strain) * math.cos(lean), abs=1e-8)
@@ -197,10 +155,6 @@ def test_shape_has_the_strips_length_and_its_foot_under_the_clamp():
     pieces = np.linalg.norm(np.diff(state.curve, axis=0), axis=1)
     assert pieces.sum() == pytest.approx(1.0, abs=1e-4)
     assert state.curve[-1] == pytest.approx((0.0, 0.8), abs=1e-8)
-
-
-def test_state_at_the_slip_strain_needs_exactly_that_friction():
-    assert strip_state(strip_slip_strain(0.2)).load_ratio == pytest.approx(0.2, abs=1e-7)
 
 
 @pytest.mark.parametrize("friction", [0.05, 0.2, 0.3])
@@ -230,24 +184,19 @@ def test_forces_and_moments_on_the_whole_strip_balance():
 LENGTH, HEIGHT = 0.20, 0.15
 
 
-@pytest.mark.parametrize(
-    ("friction", "pull_mm"), [(0.3, 11.64), (0.6, 19.2), (1.0, 26.0), (1.5, 31.8)]
-)
-def test_pull_is_the_published_one(friction, pull_mm):
-    pull = steady_strip_drag(friction, LENGTH, HEIGHT, 0.02).pull_over_w_m
-    assert 1e3 * pull == pytest.approx(pull_mm, abs=0.05)
+PULLS_MM = {0.1: None, 0.3: 11.64, 0.6: 19.2, 1.0: 26.0, 1.5: 31.8}
 
 
-@pytest.mark.parametrize("friction", [0.1, 0.3, 0.6, 1.0, 1.5])
-@pytest.mark.parametrize("holder_angle", [math.pi / 2, None])
-def test_pull_hardly_depends_on_bending_while_a_tail_lies_flat(friction, holder_angle):
+@pytest.mark.parametrize("friction", PULLS_MM)
+@pytest.mark.parametrize("angle", [math.pi / 2, None])
+def test_pull_is_the_published_one_whatever_the_bending_while_a_tail_lies_flat(friction, angle):
     flexible = flexible_strip_drag(friction, LENGTH, HEIGHT).pull_over_w_m
     for gravity_length in (0.002, 0.01, 0.02):
-        drag = steady_strip_drag(
-            friction, LENGTH, HEIGHT, gravity_length, holder_angle_rad=holder_angle
-        )
+        drag = steady_strip_drag(friction, LENGTH, HEIGHT, gravity_length, holder_angle_rad=angle)
         assert drag.regime == "flat tail"
         assert drag.pull_over_w_m == pytest.approx(flexible, rel=5e-3)
+    if angle and PULLS_MM[friction]:
+        assert 1e3 * drag.pull_over_w_m == pytest.approx(PULLS_MM[friction], abs=0.05)
 
 
 def test_flexible_strip_is_a_catenary_of_the_right_length_that_runs_into_the_floor():
@@ -273,25 +222,18 @@ def test_elastica_tends_to_the_catenary_as_the_bending_rigidity_vanishes(frictio
     assert limit.holder_ahead_of_tail_m == flexible.holder_ahead_of_tail_m
 
 
-def test_without_friction_it_hangs_plumb_and_stands_on_the_rest_of_its_weight():
-    drag = steady_strip_drag(0.0, LENGTH, HEIGHT, 0.005)
-    assert drag.pull_over_w_m == 0.0
-    assert drag.floor_load_over_w_m == pytest.approx(LENGTH - HEIGHT, rel=1e-4)
-
-
-def test_a_stiff_strip_touches_with_its_end_alone_and_still_stands_on_the_floor():
-    drag = steady_strip_drag(1.0, LENGTH, HEIGHT, 0.05)
-    assert drag.regime == "end only"
-    assert drag.flat_tail_m == 0.0
-    assert drag.curve_m[:, 1].min() >= -1e-9
-    assert drag.pull_over_w_m == pytest.approx(drag.floor_load_over_w_m)
-    steps = np.diff(drag.curve_m, axis=0)
+def test_a_strip_may_stand_plumb_touch_with_its_end_alone_or_hang_clear_of_the_floor():
+    plumb = steady_strip_drag(0.0, LENGTH, HEIGHT, 0.005)
+    assert plumb.pull_over_w_m == 0.0
+    assert plumb.floor_load_over_w_m == pytest.approx(LENGTH - HEIGHT, rel=1e-4)
+    stiff = steady_strip_drag(1.0, LENGTH, HEIGHT, 0.05)
+    assert (stiff.regime, stiff.flat_tail_m) == ("end only", 0.0)
+    assert stiff.curve_m[:, 1].min() >= -1e-9
+    assert stiff.pull_over_w_m == pytest.approx(stiff.floor_load_over_w_m)
+    steps = np.diff(stiff.curve_m, axis=0)
     assert np.hypot(*steps.T).sum() == pytest.approx(LENGTH, rel=1e-4)
-
-
-def test_a_strip_shorter_than_the_height_hangs_clear_of_the_floor():
-    drag = flexible_strip_drag(0.5, 0.10, HEIGHT)
-    assert (drag.pull_over_w_m, drag.regime) == (0.0, "clear of the floor")
+    clear = flexible_strip_drag(0.5, 0.10, HEIGHT)
+    assert (clear.pull_over_w_m, clear.regime) == (0.0, "clear of the floor")
 
 
 @pytest.mark.parametrize("hinge", [False, True])
@@ -299,10 +241,8 @@ def test_a_strip_shorter_than_the_height_hangs_clear_of_the_floor():
 @pytest.mark.parametrize("friction", [0.3, 1.0])
 def test_configurational_force_is_conserved_from_floor_to_holder(friction, gravity_length, hinge):
     """Tension + ½ B κ² − w y is the same all along a heavy elastica, from the shape alone."""
-    holder_angle = None if hinge else math.pi / 2
-    drag = steady_strip_drag(
-        friction, LENGTH, HEIGHT, gravity_length, holder_angle_rad=holder_angle
-    )
+    angle = None if hinge else math.pi / 2
+    drag = steady_strip_drag(friction, LENGTH, HEIGHT, gravity_length, holder_angle_rad=angle)
     curve = drag.curve_m[1:] if drag.flat_tail_m else drag.curve_m
     step = np.diff(curve, axis=0)
     link_angle = np.unwrap(np.arctan2(step[:, 1], step[:, 0]))

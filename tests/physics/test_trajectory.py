@@ -10,14 +10,8 @@ import pytest
 from support import synthetic_cloth
 
 from slipstitch.base.errors import BadInput
-from slipstitch.physics.simulation.trajectory import (
-    Trajectory,
-    decode,
-    encode,
-    read_trajectory,
-    rounded,
-    write_trajectory,
-)
+from slipstitch.physics.simulation import trajectory as module
+from slipstitch.physics.simulation.trajectory import Trajectory, read_trajectory, write_trajectory
 
 MOTION = Trajectory(**synthetic_cloth.motion(40))
 
@@ -25,17 +19,17 @@ MOTION = Trajectory(**synthetic_cloth.motion(40))
 @pytest.mark.parametrize("shape", [(1, 1, 3), (7, 25, 3), (5, 6, 3), (3, 169, 3)])
 def test_positions_come_back_to_the_micrometre(shape):
     positions_m = np.random.default_rng(1).uniform(-8, 8, shape).astype(np.float32)
-    there = decode(encode(positions_m))
+    there = module.decode(module.encode(positions_m))
     assert there.dtype == np.float32 and there.shape == shape
-    np.testing.assert_array_equal(there, rounded(positions_m))
+    np.testing.assert_array_equal(there, module.rounded(positions_m))
     assert np.abs(there.astype(float) - positions_m).max() < 1.01e-6  # half of it by float32 at 8 m
-    np.testing.assert_array_equal(encode(there), encode(positions_m))
+    np.testing.assert_array_equal(module.encode(there), module.encode(positions_m))
 
 
 def test_the_format_is_the_second_difference_in_time_then_along_rows_and_columns():
     micrometres = np.zeros((3, 2, 2, 3))
     micrometres[:, 0, 0, 0] = [5, 7, 4]
-    found = encode((micrometres * 1e-6).reshape(3, 4, 3)).reshape(3, 2, 2, 3)
+    found = module.encode((micrometres * 1e-6).reshape(3, 4, 3)).reshape(3, 2, 2, 3)
     # 5, 2 - 5, -3 - 2 of that vertex; less where it is the one before; 0 -1 1 -2 -> 0 1 2 3.
     np.testing.assert_array_equal(found[:, 0, 0, 0], [10, 5, 9])
     np.testing.assert_array_equal(found[:, 0, 1, 0], [9, 6, 10])
@@ -57,7 +51,7 @@ def test_a_file_holds_everything_and_is_small(tmp_path):
     path = tmp_path / "x.parquet"
     write_trajectory(path, replace(MOTION, metadata={"seed": 3}), residual=np.arange(40.0))
     read = read_trajectory(path)
-    np.testing.assert_array_equal(read.positions_m, rounded(MOTION.positions_m))
+    np.testing.assert_array_equal(read.positions_m, module.rounded(MOTION.positions_m))
     for name in ("rest_positions_m", "uv", "faces", "pinned", "frame", "time_s", "stage_x_m"):
         np.testing.assert_array_equal(getattr(read, name), getattr(MOTION, name))
     assert read.metadata == {"seed": 3}
@@ -96,19 +90,14 @@ def test_a_changed_byte_is_noticed_or_changes_nothing(place, tmp_path):
     except BadInput as error:
         assert str(path) in str(error) and "\n" not in str(error)
     else:
-        np.testing.assert_array_equal(read.positions_m, rounded(MOTION.positions_m))
+        np.testing.assert_array_equal(read.positions_m, module.rounded(MOTION.positions_m))
 
 
 @pytest.mark.parametrize(
     "change",
-    [
-        {"faces": 10**9, "zstd_base64": ""},
-        {"faces": 800, "zstd_base64": "no base64"},
-        {"faces": 800, "zstd_base64": "AAAA"},
-        {"zstd_base64": ""},
-        [],
-    ],
-)
+    [{"faces": 10**9, "zstd_base64": ""}, {"faces": 800, "zstd_base64": "no base64"},
+     {"faces": 800, "zstd_base64": "AAAA"}, {"zstd_base64": ""}, []],
+)  # fmt: skip
 def test_a_mesh_that_is_none_is_one_line(change, tmp_path):
     path = tmp_path / "x.parquet"
     written_with({"mesh": change}, path)
