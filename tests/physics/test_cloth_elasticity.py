@@ -1,14 +1,27 @@
-"""The cloth's forces against energies and closed forms computed apart from its kernels."""
+"""The cloth's forces against energies and closed forms apart from its kernels; what solves them."""
 
 import numpy as np
 import pytest
+import warp as wp
 
 from slipstitch.base.errors import BadInput
+from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics import GRAVITY_M_S2
-from slipstitch.physics.cloth import Conditions, SolverSettings, rectangle
+from slipstitch.physics.cloth import (
+    Conditions,
+    SolverSettings,
+    bending,
+    contact,
+    elasticity,
+    proximity,
+    rectangle,
+    self_contact,
+)
 from slipstitch.physics.cloth.bending import hinge_geometry
+from slipstitch.physics.cloth.tangent import flexible_gmres
 from slipstitch.physics.experiments.specimen import started
 from slipstitch.physics.fabric import isotropic_tables
+from slipstitch.physics.simulation.drop_and_drag import DropAndDrag, simulate_drop_and_drag
 
 HINGE_N_M = 5e-5
 
@@ -139,3 +152,76 @@ def test_the_mesh_is_its_own_mirror_image():
     number = np.arange(81).reshape(9, 9)[:, ::-1].ravel()
     faces = {frozenset(face) for face in mesh.faces.tolist()}
     assert {frozenset(number[list(face)].tolist()) for face in faces} == faces
+
+
+def system(size, seed=0):
+    generator = np.random.default_rng(seed)
+    near = np.diag(generator.uniform(1.0, 10.0, size))
+    exact = near + 0.3 * generator.normal(size=(size, size)) / np.sqrt(size)
+    return near, exact, generator.normal(size=size)
+
+
+def solved(near, exact, right, accuracy, products_max):
+    calls = []
+
+    def solve(y):
+        calls.append(1)
+        return np.linalg.solve(near, y)
+
+    return flexible_gmres(solve, lambda y, d: exact @ d, right, accuracy, products_max), len(calls)
+
+
+def test_a_system_that_is_not_symmetric_is_solved_to_the_accuracy_with_one_solve_a_product():
+    near, exact, right = system(40)
+    x, _ = solved(near, exact, right, 1e-12, 40)
+    assert x == pytest.approx(np.linalg.solve(exact, right), rel=1e-9, abs=1e-12)
+    x, solves = solved(near, exact, right, 0.1, 40)
+    assert np.linalg.norm(exact @ x - right) <= 0.1 * np.linalg.norm(right)
+    fewer, _ = solved(near, exact, right, 0.1, solves - 1)
+    assert np.linalg.norm(exact @ fewer - right) > 0.1 * np.linalg.norm(right)
+
+
+def test_an_exact_preconditioner_needs_one_product_and_more_never_let_the_residual_grow():
+    near, exact, right = system(30, seed=3)
+    x, solves = solved(near, near, right, 1e-10, 5)
+    assert solves == 1
+    assert x == pytest.approx(np.linalg.solve(near, right))
+    residuals = [
+        np.linalg.norm(exact @ solved(near, exact, right, 0.0, count)[0] - right)
+        for count in range(1, 12)
+    ]
+    assert np.all(np.diff(residuals) <= 1e-12)
+
+
+RUN = DropAndDrag("gray-interlock", 0.5, 1)
+SETTINGS = SimulationSettings(vertices_per_side=9, frames=4, frame_rate_hz=4, settle_s=0.2)
+
+
+@pytest.mark.slow
+def test_every_kernel_compiles_for_a_gpu(tmp_path):
+    """Without one: to PTX for compute capability 8.0; sums into shared entries are atomic."""
+    sources = {}
+    for module in (elasticity, bending, proximity, self_contact, contact):
+        # Not with strip_hash: it would stay on, and kernels of other versions be loaded.
+        options = {"arch": 80, "module_dir": tmp_path, "use_ptx": True}
+        (compiled,) = wp.compile_aot_module(wp.get_module(module.__name__), **options)
+        sources[module] = compiled.read_text()
+        assert ".target sm_80" in sources[module]
+    for module in (elasticity, bending):
+        source = sources[module]
+        assert ".add.f64" in source and ("atom." in source or "red." in source)
+
+
+@pytest.mark.skipif(wp.is_cuda_available(), reason="there is such a device")
+def test_a_device_that_is_not_there_is_bad_input():
+    message = "device cuda: not available on this machine; available: cpu"
+    with pytest.raises(BadInput, match=message):
+        simulate_drop_and_drag(RUN, SETTINGS, device="cuda")
+
+
+@pytest.mark.skipif(not wp.is_cuda_available(), reason="no CUDA device")
+def test_a_gpu_gives_the_hanging_cloth_of_the_cpu_to_a_micrometre():
+    (here, _), (there, _) = (
+        simulate_drop_and_drag(RUN, SETTINGS, device=device) for device in ("cpu", "cuda")
+    )
+    assert np.abs(here.positions_m - there.positions_m).max() < 1e-6

@@ -66,9 +66,7 @@ def test_steps_are_refined_on_the_first_mesh_and_meshes_at_the_first_step():
         (friction, *refined) for friction in (0.1, 0.5) for refined in ((9, 0), (9, 2), (17, 0))
     ]
     assert len({case.pair for case in cases(resolve_config({}))}) == 30  # every fabric
-
-
-def test_the_finest_run_has_all_of_stepping_finer_and_the_same_frames():
+    # The finest run has all of stepping finer, and the same frames.
     finest = next(c for c in cases(CONFIG) if c.halvings == 2)
     chosen = SimulationSettings(time_step_s=0.02, step_error_m=1.6e-4, friction_tolerance=1.6e-4)
     settings = case_settings(finest, CONFIG, chosen)

@@ -87,7 +87,6 @@ def _simulation_s(settings: SimulationSettings) -> float:
 
 
 def _calibration_s(config: Config) -> float:
-    """All jobs of the calibration; every setting pushes strips of all fabrics and coefficients."""
     calibrate, step_s = config.calibrate, config.simulation.time_step_s
     of_one_value = [len(getattr(calibrate, f"sweep_{key}")) for key in KEYS if key != "time_step_s"]
     steps = [step_s] * (1 + sum(of_one_value)) + list(calibrate.sweep_time_step_s)
@@ -118,8 +117,13 @@ class _Counted:
         self.networks = sum(len(trainings(config.train, one)) for one in config.train.splits)
 
 
+def _light_s(pixels: float, samples: int, mirrors: float) -> float:
+    """A frame's light, of which half does not depend on the image's size."""
+    light_s = RENDER_FRAME_S * (0.5 + 0.5 * (pixels / 112) ** 2 * samples)
+    return light_s * (1 + mirrors * (MIRROR_FACTOR - 1))
+
+
 def _frame_s(config: Config) -> float:
-    """One frame forward and backward through a network of the configured size."""
     pixels = config.train.pixels or config.render.pixels
     scaled = TRAIN_FIXED_SHARE + (1 - TRAIN_FIXED_SHARE) * (pixels / 64) ** 2
     return TRAIN_FRAME_S * scaled * (config.train.width / 0.25) ** 2
@@ -133,9 +137,7 @@ def job_costs_s(config: Config) -> dict[str, float]:
     """Kind -> CPU seconds of one of its jobs, the mean where they differ."""
     render, train, sample = config.render, config.train, config.sample
     of, ablations = _Counted(config), estimate_ablate(config)
-    # Half of a frame's light does not depend on the image's size.
-    light_s = RENDER_FRAME_S * (0.5 + 0.5 * (render.pixels / 112) ** 2 * render.samples)
-    light_s *= 1 + of.mirrors * (MIRROR_FACTOR - 1)
+    light_s = _light_s(render.pixels, render.samples, of.mirrors)
     composed_s = of.frames * (of.shards * COMPOSE_FRAME_S + of.videos * COMPOSE_IMAGE_S)
     composed_s += (of.runs + of.drawn_shards) * COMPOSE_START_S
     direct_s = DIRECT_PIXEL_S * (1 + 3 * of.mirrors) * render.pixels**2
@@ -167,10 +169,7 @@ def job_costs_s(config: Config) -> dict[str, float]:
 
 
 def estimate(config: Config) -> list[StageEstimate]:
-    """Cost of each stage of the chain, in its order.
-
-    The jobs are those that Snakemake counts, without its ``all``.
-    """
+    """Cost of each stage of the chain, in order; jobs as Snakemake counts them but for ``all``."""
     of, one_s = _Counted(config), job_costs_s(config)
     image_bytes = IMAGE_BYTES * config.render.pixels**2
     trajectory = TRAJECTORY_BYTES * config.simulation.vertices_per_side**2
@@ -239,11 +238,8 @@ def estimate_captures(config: Config) -> StageEstimate:
     # The start at the full rate, then every so many-th frame; the image is a square with a margin.
     duration_s = training.frames / training.frame_rate_hz
     frames = 12.0 * (3 + duration_s / settings.later_every)
-    light_s = RENDER_FRAME_S * (
-        0.5 + 0.5 * (1.12 * settings.width_px / 112) ** 2 * config.render.samples
-    )
     mirrors = _mirror_share([pair.substrate for pair in settings.pairs])
-    light_s *= 1 + mirrors * (MIRROR_FACTOR - 1)
+    light_s = _light_s(1.12 * settings.width_px, config.render.samples, mirrors)
     each_s = _simulation_s(made) + RENDER_START_S + frames * light_s + INGEST_FILM_S
     each_bytes = frames * FILM_BYTES * settings.width_px**2 * 0.75 + 1e6
     return StageEstimate("captures", films + 4, films * each_s, films * each_bytes)
@@ -261,10 +257,7 @@ def _video_bytes(config: Config, kind: str) -> float:
 
 
 def job_memory_mb(kind: str, config: Config | None = None) -> int:
-    """Memory (MB) for a scheduler to set aside for one job: twice what was measured.
-
-    Of decoded videos, which are counted and not guessed, 1.2 times what they take at the peak.
-    """
+    """Memory (MB) to set aside for one job: twice what was measured, 1.2 times its videos."""
     needed = MEMORY_MARGIN * MEMORY_MIB[kind] * 2**20
     if config is not None and kind == "sample":
         needed += MEMORY_MARGIN * SAMPLE_VIDEO_MIB * _Counted(config).videos * 2**20

@@ -65,9 +65,9 @@ def friction_id(friction: float) -> str:
 def simulation_seed(seed: int, bench: str, replicate: int) -> int:
     """Seed of the bench of one simulation (clamps, curl, fabric), in [0, 2^31).
 
-    A hash of what the bench is, not of its place in the grid. The bench is the same at every
-    friction coefficient, so that nothing but contact tells them apart; with
-    `GridSettings.own_benches` the coefficient is in its name.
+    A hash of what the bench is, not of its place in the grid: the same at every friction
+    coefficient, so that nothing but contact tells them apart, unless `GridSettings.own_benches`
+    names it.
     """
     return int.from_bytes(_digest(seed, bench, replicate)[:4], "big") & 0x7FFFFFFF
 
@@ -75,8 +75,7 @@ def simulation_seed(seed: int, bench: str, replicate: int) -> int:
 def bench_of(simulation: str) -> str:
     """The bench of a simulation by its id, ``m05_f0300_r00`` -> ``m05_r00``.
 
-    Floor, lamp and the camera's noise are drawn by this, the same at every coefficient; but for
-    cameras of the family ``bench_1`` ..., see `slipstitch.images.surroundings.drawn_by`.
+    Floor, lamp and noise are drawn by the bench, but of cameras of the family ``bench_1`` ...
     """
     return re.sub(r"_f\d+(?=_|$)", "", simulation)
 
@@ -175,8 +174,8 @@ def viewpoints(config: Config) -> list[dict[str, str]]:
 def films(config: Config) -> dict[tuple[str, str], dict[str, str]]:
     """Ids of simulation and viewpoint -> the textures filmed, id -> name; none if there is no film.
 
-    Test textures are filmed from the main training viewpoints only, where videos of test viewpoints
-    are drawn; these are drawn by what they are, so that one more texture changes few.
+    Where videos of test viewpoints are drawn, by what they are, so that one more texture changes
+    few, test textures are filmed from the main training viewpoints only.
     """
     render = config.render
     names = texture_ids(render)
@@ -205,10 +204,7 @@ def _digest(*words: object) -> bytes:
 
 
 def grid_rows(config: Config) -> list[dict]:
-    """Rows of ``grid.parquet``: kind, id, name, value (coefficient, azimuth, number), roles.
-
-    Simulations have ``material_id, friction_id, replicate_id, material, friction, seed``, too.
-    """
+    """Rows of ``grid.parquet``: kind, id, name, value (coefficient, azimuth, number), roles."""
     rows: list[dict[str, Any]] = [
         {"kind": "material", "id": material_id(name), "name": name}
         for name in config.grid.materials

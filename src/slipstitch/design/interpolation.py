@@ -44,9 +44,9 @@ class Interpolation:
 def interpolations(config: Config) -> dict[tuple[str, str], Interpolation]:
     """Ids of simulation and viewpoint -> the cloth of that film, for films that are interpolated.
 
-    Of every camera of the family ``bench_1`` ... and every simulation that trains, from
-    `FROM_FRICTION` on, a share. The coefficient is drawn between the middles of the intervals to
-    the next ones at which the fabric trains, so that its films cover all of them.
+    A share, of every camera of the family ``bench_1`` ... and every simulation that trains, from
+    `FROM_FRICTION` on. Coefficients are drawn between the middles of the intervals to the next at
+    which the fabric trains, so that its films cover all of them.
     """
     settings = config.render.interpolation
     family = [
@@ -84,10 +84,7 @@ def filmed_friction(simulation: Simulation, shown: Interpolation | None) -> floa
 
 
 def between(row: Sequence[Simulation], friction: float, height_m: float) -> dict[str, float]:
-    """Weights of the two simulations of a fabric on either side of a coefficient; or of one at it.
-
-    The height is that of the clamps while the cloth is dragged.
-    """
+    """Weights of a fabric's simulations on either side of a coefficient, or of the one at it."""
     for below, above in itertools.pairwise(row):
         if friction <= above.friction:
             first, at, last = (

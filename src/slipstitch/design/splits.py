@@ -40,9 +40,9 @@ def split_by_video(
 def sides_of_simulations(config: Config) -> dict[str, str]:
     """Every simulation's id -> its side where whole simulations are held out.
 
-    Those of a test-only fabric or friction coefficient are test simulations, those of a fabric for
-    validation only are validation simulations, and of the other fabrics those of a coefficient that
-    is never held out train. BadInput if the grid has no valid split.
+    Those of a test-only fabric or coefficient test, those of a fabric for validation only validate,
+    and others of a coefficient that is never held out train. BadInput if the grid has no valid
+    split.
     """
     grid = simulations(config)
     apart = {
@@ -83,11 +83,10 @@ def split_by_simulation(
     """Every simulation's side; no class goes untrained, no friction is tested more than another.
 
     With replicates (auto: if every pair has two at least), the last ones of every (material,
-    friction) pair are held out: every pair trains and is tested on an independently set-up bench.
-    Otherwise, whole pairs are held out, in diagonals of the table of materials and frictions: the
-    network has seen each, never both together. They are divided between validation and test for
-    each friction separately, cycling through the materials from one that the seed gives. Of shares
-    at least one is held out and one trains; BadInput if a class would be left without training.
+    friction) pair are held out. Otherwise whole pairs are, in diagonals of the table of materials
+    and frictions, divided between validation and test for each friction separately, cycling through
+    the materials from one that the seed gives. Of shares at least one is held out and one trains;
+    BadInput if a class would be left without training.
     """
     everything = sorted(set(simulations))
     materials = sorted({material for material, _, _ in everything})

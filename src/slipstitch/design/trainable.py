@@ -9,14 +9,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from slipstitch.base.errors import BadInput
+from slipstitch.config import train as trained
 from slipstitch.config.catalogue import VIEWPOINTS
-from slipstitch.config.train import (
-    BY_SIMULATION,
-    NETWORKS,
-    REFLECTIVE,
-    REFLECTIVE_SEEDS,
-    TrainSettings,
-)
+from slipstitch.config.train import TrainSettings
 
 if TYPE_CHECKING:
     from slipstitch.config.model import Config
@@ -30,14 +25,11 @@ def keeps_networks_of_all_views(settings: TrainSettings) -> bool:
 
 
 def trainings(train: TrainSettings, trained_on: str) -> list[tuple[str, int]]:
-    """Networks and seeds of the trainings on one of `slipstitch.config.train.TRAINED_ON`.
-
-    On reflective floors only what tells the paper's last curve: material, then friction.
-    """
-    if trained_on == REFLECTIVE:
+    """Networks and seeds of a training set; on reflective floors only material, then friction."""
+    if trained_on == trained.REFLECTIVE:
         networks = ("material_baseline", "friction_conditional")
-        return [(network, seed) for network in networks for seed in REFLECTIVE_SEEDS]
-    return [(network, seed) for network in NETWORKS for seed in train.seeds]
+        return [(network, seed) for network in networks for seed in trained.REFLECTIVE_SEEDS]
+    return [(network, seed) for network in trained.NETWORKS for seed in train.seeds]
 
 
 def view_order(config: Config) -> list[str]:
@@ -64,11 +56,12 @@ def check_networks_can_train(config: Config) -> None:
     """Refuse a grid that leaves a network without classes to tell apart."""
     _enough(config, "materials", "the material network")
     _enough(config, "frictions", "a friction network")
-    if config.sample.validation_materials and BY_SIMULATION in config.train.splits:
+    kept = config.sample.validation_materials
+    if kept and trained.BY_SIMULATION in config.train.splits:
         raise BadInput(
             "sample.validation_materials: the material network must see every fabric in training, "
-            f"but {BY_SIMULATION} (train.splits) keeps {config.sample.validation_materials[0]} "
-            "from it; it is for the instrument alone"
+            f"but {trained.BY_SIMULATION} (train.splits) keeps {kept[0]} from it; it is for the "
+            "instrument alone"
         )
 
 

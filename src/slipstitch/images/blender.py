@@ -66,7 +66,7 @@ def _silent_stdout() -> Iterator[None]:
 class ClothScene:
     """One cloth in Blender, triangles (F, 3) with texture coordinates (V, 2), rendered by frames.
 
-    Blender holds one scene a process; making a second `ClothScene` replaces the first.
+    Blender holds one scene a process: a second `ClothScene` replaces the first.
     """
 
     def __init__(self, faces: np.ndarray, uv: np.ndarray, surroundings: Surroundings = MATTE):
@@ -198,8 +198,8 @@ class ClothScene:
     def _polish(self, tree) -> None:
         """Add a specular layer, visible to the camera, to the floor's Lambertian body.
 
-        Light that the floor throws onto the cloth stays Lambertian, with the mirror's share in its
-        albedo: mirrored light on rough ground is what few paths resolve worst.
+        Light thrown onto the cloth stays Lambertian, with the mirror's share in the albedo: few
+        paths resolve mirrored light on rough ground worst.
         """
         nodes, link = tree.nodes, tree.links.new
         normal = self._surroundings.reflectance
@@ -287,9 +287,8 @@ class ClothScene:
     ) -> Rendering:
         """Render the cloth with these vertices (V, 3) through this camera, at its resolution.
 
-        `samples` are paths per pixel: the first through its centre, the others spread evenly; the
-        seed is the path tracer's. SlipstitchError if Blender could not write the image, as on a
-        full disk.
+        `samples` are paths per pixel, the first through its centre; the seed is the path tracer's.
+        SlipstitchError if Blender could not write the image, as on a full disk.
         """
         self._mesh.vertices.foreach_set("co", np.asarray(positions_m, dtype=np.float32).ravel())
         self._mesh.update()
@@ -349,8 +348,8 @@ class ClothScene:
 def read_exr(path: str | os.PathLike) -> dict[str, np.ndarray]:
     """Channels of an uncompressed OpenEXR file of Blender, by name, each float32 (height, width).
 
-    Blender has no other way to hand its float buffers over without a window: one part, scan lines,
-    32-bit floats ("OpenEXR File Layout", version 2). ValueError for another kind of file.
+    Blender hands float buffers over in no other way without a window: one part, scan lines, 32-bit
+    floats ("OpenEXR File Layout", version 2). ValueError for another kind of file.
     """
     with open(path, "rb") as stream:
         data = stream.read()

@@ -1,18 +1,17 @@
 """What the calibrated viewpoint shows at a time, and a bench's own camera brought back into it.
 
-The image is a square crop of what the fixed camera sees: the smallest square that holds a room
-around the stage which the cloth cannot leave. The stage path is known, so the same crop can be cut
-from a real video. A crop of a pinhole image is a pinhole image with other intrinsics, which is how
-Blender renders it directly.
+The image is the smallest square crop that holds a room around the stage which the cloth cannot
+leave. The stage path is known, so the same crop can be cut from a real video. A crop of a pinhole
+image is a pinhole image with other intrinsics, which is how Blender renders it directly.
 
-A viewpoint of the family ``bench_1`` ... has another pose in every simulation: as many benches as
-films, so that no bench tells its fabric. Its images are rectified into the calibrated viewpoint by
-the function that rectifies real videos, from what a calibration would have told of the camera.
+A viewpoint of the family ``bench_1`` ... has another pose in every simulation, so that no bench
+tells its fabric. Its images are rectified into the calibrated viewpoint by the function that
+rectifies real videos, from what a calibration would have told of the camera.
 """
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import cv2
@@ -20,17 +19,10 @@ import numpy as np
 
 from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.config.render import RenderSettings
+from slipstitch.images import rectification
 from slipstitch.images.camera import AIM_M, POSE, Camera, Pose, pose, relative_pose, turned
 from slipstitch.images.camera_file import read_camera_file
-from slipstitch.images.rectification import (
-    MeanCloth,
-    Surface,
-    cloth_surface,
-    fine_source_pixels,
-    lags_m,
-    resample,
-    stage_plane,
-)
+from slipstitch.images.rectification import MeanCloth, Surface
 from slipstitch.images.surroundings import drawn_by, generator
 from slipstitch.physics.simulation.trajectory import Trajectory
 
@@ -124,7 +116,7 @@ class CalibratedView:
     def seen(self, time_s: float) -> tuple[Camera, Surface]:
         """The image's camera at a time, and the surface that its pixels are taken to show."""
         crop = self.crop(time_s)
-        return crop, cloth_surface(crop, self.cloth(time_s))
+        return crop, rectification.cloth_surface(crop, self.cloth(time_s))
 
     def cloth(self, time_s: float) -> MeanCloth:
         """Where the cloth is at a time, on average."""
@@ -133,7 +125,7 @@ class CalibratedView:
 
     @cached_property
     def _lags_m(self) -> np.ndarray:
-        return lags_m(*self.stage(self.simulated_s), self.size_m[1])
+        return rectification.lags_m(*self.stage(self.simulated_s), self.size_m[1])
 
 
 # How far a bench's camera is off at most, and how exactly it is known. One in three is not off.
@@ -168,9 +160,7 @@ class BenchCamera:
     focal_error: float = 0.0  # of the calibration, as a share
     start_error_s: float = 0.0  # how much too late the stage's start was found
 
-    def pose(
-        self, rotation: np.ndarray, translation_m: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray]:
+    def pose(self, rotation: np.ndarray, translation_m: np.ndarray) -> Pose:
         """Rotation and translation, world to camera, beside those of the viewpoint."""
         around = _turn([0.0, 0.0, 1.0], -self.yaw_deg)
         # Up is against y of the camera: it climbs about its own x axis, after the yaw.
@@ -182,34 +172,23 @@ class BenchCamera:
 
     def stated(self, camera: Camera) -> Camera:
         """The camera as a calibration with these errors describes it."""
-        axes = np.radians(self.rotation_error_deg)
-        wrong, _ = cv2.Rodrigues(axes)
+        wrong, _ = cv2.Rodrigues(np.radians(self.rotation_error_deg))
         matrix = camera.matrix.copy()
         matrix[[0, 1], [0, 1]] *= 1 + self.focal_error
-        translation_m = wrong @ camera.translation_m + self.position_error_m
-        return replace(
-            camera,
-            rotation=wrong @ camera.rotation,
-            translation_m=translation_m,
-            matrix=matrix,
-            distortion=_NO_DISTORTION,
-        )
+        stands = wrong @ camera.rotation, wrong @ camera.translation_m + self.position_error_m
+        return Camera(*stands, matrix, camera.pixels, camera.rows, _NO_DISTORTION)
 
 
 def draw_bench_camera(seed: int, simulation: str, viewpoint: str) -> BenchCamera:
     """The camera of a simulation's videos (by its id) from a member of the family (by its name)."""
     rng = generator(seed, drawn_by(simulation, viewpoint), viewpoint, "bench camera")
-    yaw, pitch, roll, distance = rng.uniform(-1, 1, 4)
-    aim = rng.uniform(-1, 1, 3) * AIM_MAX_M
+    most = YAW_MAX_DEG, PITCH_MAX_DEG, ROLL_MAX_DEG, DISTANCE_MAX
+    turns, aim = rng.uniform(-1, 1, 4) * most, rng.uniform(-1, 1, 3) * AIM_MAX_M
     if rng.uniform() < CALIBRATED_SHARE:
-        yaw = pitch = roll = distance = 0.0
-        aim = np.zeros(3)
+        turns, aim = np.zeros(4), np.zeros(3)
+    yaw_deg, pitch_deg, roll_deg, farther = turns.tolist()
     return BenchCamera(
-        yaw_deg=float(yaw * YAW_MAX_DEG),
-        pitch_deg=float(pitch * PITCH_MAX_DEG),
-        roll_deg=float(roll * ROLL_MAX_DEG),
-        distance=float(1 + distance * DISTANCE_MAX),
-        aim_m=_triple(aim),
+        *(yaw_deg, pitch_deg, roll_deg, 1 + farther, _triple(aim)),
         rotation_error_deg=_triple(rng.normal(size=3) * ROTATION_SD_DEG),
         position_error_m=_triple(rng.normal(size=3) * POSITION_SD_M),
         focal_error=float(rng.normal() * FOCAL_SD),
@@ -221,12 +200,12 @@ def bench_room(seen: Camera, stage_x_m: float, room_m: np.ndarray) -> np.ndarray
     """Points (N, 3) that the bench camera's image must hold.
 
     The cloth's room, and where the calibrated crop's corners look through the stage plane: hardly
-    any of the rectified image is blind then, through the mean cloth up to 2 %.
+    any of the rectified image is blind then.
     """
     corners = np.column_stack([_CORNERS * seen.pixels - 0.5, np.ones(4)])
     rays = corners @ np.linalg.inv(seen.matrix).T @ seen.rotation
     eye = -seen.rotation.T @ seen.translation_m
-    return np.concatenate([room_m, stage_plane(seen, stage_x_m).seen(eye, rays)])
+    return np.concatenate([room_m, rectification.stage_plane(seen, stage_x_m).seen(eye, rays)])
 
 
 @dataclass(frozen=True)
@@ -240,14 +219,16 @@ class Rectifier:
         """Where the image, by its calibration, shows what the calibrated viewpoint would see."""
         assert self.bench is not None
         found_s = time_s + self.bench.start_error_s
-        return fine_source_pixels(self.bench.stated(camera), *self.calibrated.seen(found_s))
+        return rectification.fine_source_pixels(
+            self.bench.stated(camera), *self.calibrated.seen(found_s)
+        )
 
     def at(self, camera: Camera, time_s: float) -> Callable[[np.ndarray], np.ndarray]:
         """Of the images of a camera at a time: what makes each (pixels, pixels, 3) uint8."""
         if self.bench is None:
             return lambda image: image
         place = self.source_pixels(camera, time_s)
-        return lambda image: resample(image, place, self.calibrated.pixels)[0]
+        return lambda image: rectification.resample(image, place, self.calibrated.pixels)[0]
 
     def pose(self, camera: Camera) -> dict[str, float]:
         """Pose of the camera relative to the calibrated viewpoint, according to its calibration."""

@@ -146,16 +146,12 @@ def _spherical(
 KEYPOINTS_UV = np.array([(u, v) for v in (1 / 3, 2 / 3, 1.0) for u in (0.0, 0.5, 1.0)])
 
 
-def _nearest(uv: np.ndarray) -> np.ndarray:
-    """Numbers of the vertices (V, 2) nearest to `KEYPOINTS_UV`, shape (9,)."""
-    return np.linalg.norm(uv[None] - KEYPOINTS_UV[:, None], axis=2).argmin(axis=1)
-
-
 def keypoints_m(positions_m: np.ndarray, uv: np.ndarray, stage_x_m: np.ndarray) -> np.ndarray:
     """Places (T, 9, 3) of the vertices nearest to `KEYPOINTS_UV`, of vertices (T, V, 3).
 
     Metres along the track relative to the clamps `stage_x_m` (T,), across it, above the floor.
     """
-    places = positions_m[:, _nearest(uv)].astype(np.float64)
+    nearest = np.linalg.norm(uv[None] - KEYPOINTS_UV[:, None], axis=2).argmin(axis=1)
+    places = positions_m[:, nearest].astype(np.float64)
     places[..., 0] -= stage_x_m[:, None]
     return places

@@ -153,7 +153,6 @@ def _series(orders: wp.vec3, albedo: wp.vec3, nearby: wp.vec3) -> wp.vec3:
 
 
 def _mirrored_rays(sight: MirroredSight) -> MirroredRays:
-    """Sort the rays by pixel."""
     lit = np.flatnonzero(~sight.lying)
     side = len(sight.width)
     y, x = np.divmod(sight.seen[lit], side * sight.rays)

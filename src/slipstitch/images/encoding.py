@@ -21,21 +21,16 @@ def encode_srgb(linear: np.ndarray) -> np.ndarray:
     return _SRGB[steps]
 
 
-def _srgb_table() -> np.ndarray:
-    linear = np.linspace(0, 1, 2**16 + 1)
-    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    return np.rint(255 * encoded).astype(np.uint8)
+def decode_srgb(encoded: np.ndarray) -> np.ndarray:
+    """Linear light of sRGB values in 0 ... 1."""
+    return np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
 
 
-def _linear_table() -> np.ndarray:
-    encoded = np.arange(256) / 255
-    linear = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
-    return linear.astype(np.float32)
-
-
-_SRGB = _srgb_table()
 #: Linear light of each 8-bit sRGB level.
-LINEAR = _linear_table()
+LINEAR = decode_srgb(np.arange(256) / 255).astype(np.float32)
+_STEPS = np.linspace(0, 1, 2**16 + 1)
+_ENCODED = np.where(_STEPS <= 0.0031308, 12.92 * _STEPS, 1.055 * _STEPS ** (1 / 2.4) - 0.055)
+_SRGB = np.rint(255 * _ENCODED).astype(np.uint8)
 
 
 def encode_png(image: np.ndarray) -> bytes:

@@ -11,16 +11,8 @@ import cv2
 import numpy as np
 import pyarrow as pa
 
+from slipstitch.base import provenance
 from slipstitch.base.errors import BadInput
-from slipstitch.base.provenance import (
-    check_image,
-    parquet_stream,
-    provenance_record,
-    read_metadata,
-    read_parquet,
-    recorded_path,
-    start_clock,
-)
 from slipstitch.config import Config
 from slipstitch.images.camera import keypoints_m
 from slipstitch.images.composition import compose_light, join
@@ -62,11 +54,10 @@ def render_shard(
     """Make the image shard of one simulation from one viewpoint, with every texture.
 
     The light is taken from the file `pack_path` or, by default, rendered in Blender; the pixels are
-    the same. `progress` wraps the list of frames. Returns the numbers of frames and images, and the
-    smallest share of the cloth's vertices in an image. BadInput if the trajectory, the pack or a
-    texture cannot be used.
+    the same. Return the numbers of frames and images, and the smallest share of the cloth's
+    vertices in an image. BadInput if the trajectory, the pack or a texture cannot be used.
     """
-    started = start_clock()
+    started = provenance.start_clock()
     cv2.setNumThreads(1)
     trajectory = view.trajectory()
     files = [file for name in view.textures.values() if (file := texture_file(name))]
@@ -77,7 +68,7 @@ def render_shard(
     # PNG does not compress any further.
     how = {name: "zstd" for name in SCHEMA.names if name != "image"}
     images = 0
-    with parquet_stream(out, SCHEMA, compression=how) as stream:
+    with provenance.parquet_stream(out, SCHEMA, compression=how) as stream:
         group: list[dict] = []
         for shot, identity, image in composed_images(view, pack, trajectory):
             group.append(_row(view, trajectory, shot, identity, image))
@@ -102,11 +93,11 @@ def render_shards_from_packs(
 ) -> Iterator[tuple[Path, dict]]:
     """Make the image shards of one simulation without Blender, from the light of its viewpoints.
 
-    Gives each, named as its pack, with what `render_shard` returns, and ``viewpoint``, by name.
+    Yield each, named as its pack, with what `render_shard` returns, and ``viewpoint``, by name.
     """
     for pack_path in pack_paths:
         try:
-            named = read_metadata(pack_path).get("viewpoint", {})
+            named = provenance.read_metadata(pack_path).get("viewpoint", {})
         except (OSError, ValueError):
             named = {}  # read_pack says what is wrong with it
         view = View.identified(config, trajectory_path, named.get("id", ""), named.get("name", ""))
@@ -131,7 +122,6 @@ def _row(view: View, trajectory: Trajectory, shot: Shot, texture: str, image: np
 def _description(
     view: View, pack: Pack, trajectory: Trajectory, files: list, started: tuple[float, float]
 ) -> tuple[dict, dict]:
-    """Metadata and provenance of the shard."""
     effects = view.camera_effects()
     points_m = keypoints_m(trajectory.positions_m, trajectory.uv, trajectory.stage_x_m)
     points_m = points_m.reshape(len(points_m), -1).round(5)  # of each frame 27 numbers
@@ -155,7 +145,7 @@ _GAP = 2
 
 def read_images(path: str | os.PathLike) -> dict[tuple[str, str, str], dict[int, bytes]]:
     """PNG files of a shard: (simulation, texture, viewpoint) -> frame -> bytes; else BadInput."""
-    table = read_parquet(path, SCHEMA.names)
+    table = provenance.read_parquet(path, SCHEMA.names)
     videos: dict[tuple[str, str, str], dict[int, bytes]] = {}
     for row in table.to_pylist():
         key = (row["simulation"], row["texture"], row["viewpoint"])
@@ -165,7 +155,7 @@ def read_images(path: str | os.PathLike) -> dict[tuple[str, str, str], dict[int,
 
 def decode_image(data: bytes, where: str) -> np.ndarray:
     """An image file's content, blue first (H, W, 3) uint8; BadInput if it is damaged."""
-    check_image(data, where)
+    provenance.check_image(data, where)
     image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
     if image is None:
         raise BadInput(f"{where}: an image cannot be decoded")
@@ -179,11 +169,11 @@ def preview(
 ) -> None:
     """Make a contact sheet and a video of image shards, usually all viewpoints of a simulation.
 
-    Shown are the frames that all shards have. `sheet` (PNG) has for every viewpoint a row of the
-    first texture through time, then, at one time, all textures; `video` (MP4) the viewpoints side
-    by side. BadInput if a shard cannot be read or the shards have no frame in common.
+    Of the frames that all shards have, `sheet` (PNG) has for every viewpoint a row of the first
+    texture through time, then, at one time, all textures; `video` (MP4) the viewpoints side by
+    side. BadInput if a shard cannot be read or the shards have no frame in common.
     """
-    started = start_clock()
+    started = provenance.start_clock()
     videos = {}
     for path in shards:
         for key, frames in read_images(path).items():
@@ -202,32 +192,29 @@ def preview(
         data, path = videos[simulation, texture, view][number]
         return decode_image(data, f"{path}: {simulation}_{texture}_{view} frame {number}")
 
-    record = provenance_record("render", inputs=shards, started=started)
+    record = provenance.provenance_record("render", inputs=shards, started=started)
+    firsts = [(simulation, all_[0], view) for (simulation, view), all_ in textures.items()]
     if sheet is not None:
         places = np.linspace(0, len(common) - 1, min(_SHEET_COLUMNS, len(common)))
         times = [common[k] for k in sorted({*places.round().astype(int).tolist()})]
         middle = common[len(common) // 2]
-        rows = [[image(s, all_[0], v, n) for n in times] for (s, v), all_ in textures.items()]
+        rows = [[image(*first, number) for number in times] for first in firsts]
         for (s, v), all_ in textures.items():
             for k in range(0, len(all_) if len(all_) > 1 else 0, _SHEET_COLUMNS):
                 rows.append([image(s, t, v, middle) for t in all_[k : k + _SHEET_COLUMNS]])
-        with recorded_path(sheet, record) as temporary:
+        with provenance.recorded_path(sheet, record) as temporary:
             temporary.write_bytes(cv2.imencode(".png", _tile(rows))[1].tobytes())
     if video is not None:
-        pictures = (
-            _tile([[image(s, all_[0], v, n) for (s, v), all_ in textures.items()]]) for n in common
-        )
-        with recorded_path(video, record) as temporary:
+        pictures = (_tile([[image(*first, number) for first in firsts]]) for number in common)
+        with provenance.recorded_path(video, record) as temporary:
             _write_video(temporary, pictures, rate_hz=max(1.0, len(common) / _SECONDS))
 
 
 def _tile(rows: list[list[np.ndarray]]) -> np.ndarray:
     """Images in a grid with a thin gap, all at the size of the largest."""
     side = max(image.shape[0] for row in rows for image in row)
-    wide = max(len(row) for row in rows)
-    canvas = np.full(
-        (len(rows) * (side + _GAP) - _GAP, wide * (side + _GAP) - _GAP, 3), 255, dtype=np.uint8
-    )
+    size = [(side + _GAP) * count - _GAP for count in (len(rows), max(map(len, rows)))]
+    canvas = np.full((*size, 3), 255, dtype=np.uint8)
     for i, row in enumerate(rows):
         for j, image in enumerate(row):
             if image.shape[0] != side:

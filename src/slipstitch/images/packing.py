@@ -12,17 +12,11 @@ from dataclasses import asdict, dataclass
 import numpy as np
 import pyarrow as pa
 
+from slipstitch.base import provenance
 from slipstitch.base.errors import BadInput
-from slipstitch.base.provenance import (
-    file_digest,
-    open_parquet,
-    parquet_stream,
-    read_metadata,
-    start_clock,
-)
 from slipstitch.config.render import RenderSettings
 from slipstitch.images.shading import LIGHT_OVERSAMPLING, Shading, Sight, look, separated_light
-from slipstitch.images.surroundings import FLOOR_M, MATTE, Surroundings
+from slipstitch.images.surroundings import MATTE, Surroundings
 from slipstitch.images.view import Shot, View, camera_record, recorded_shots
 from slipstitch.physics.simulation.trajectory import Trajectory
 
@@ -63,8 +57,7 @@ class Pack:
 
 def _sight(trajectory: Trajectory, shot: Shot, surroundings: Surroundings) -> Sight:
     positions = trajectory.positions_m[shot.row].astype(np.float64)
-    mesh = (positions, trajectory.faces, trajectory.uv)
-    return look(*mesh, FLOOR_M, shot.camera, surroundings)
+    return look(positions, trajectory.faces, trajectory.uv, shot.camera, surroundings)
 
 
 def render_shadings(
@@ -108,9 +101,9 @@ def shade(view: View, trajectory: Trajectory, progress=iter) -> Pack:
 
 def write_pack(view: View, out: str | os.PathLike, progress=iter) -> Pack:
     """Render the light of a view into a file, atomically."""
-    started = start_clock()
+    started = provenance.start_clock()
     pack = shade(view, view.trajectory(), progress)
-    with parquet_stream(out, _SCHEMA) as stream:
+    with provenance.parquet_stream(out, _SCHEMA) as stream:
         for shot, packed in zip(pack.shots, pack.shadings, strict=True):
             stream.write([{"frame": shot.frame, **packed}])
         stream.describe(pack.metadata, view.record("render.packing", started, _UNUSED))
@@ -127,8 +120,8 @@ _UNUSED = {
 
 def read_pack(path: str | os.PathLike, view: View, trajectory: Trajectory) -> Pack:
     """Read what `write_pack` wrote of a view and its trajectory; BadInput if it is none."""
-    with open_parquet(path) as file:
-        metadata = read_metadata(file.schema_arrow)
+    with provenance.open_parquet(path) as file:
+        metadata = provenance.read_metadata(file.schema_arrow)
         if file.schema_arrow.names != _SCHEMA.names or "surroundings" not in metadata:
             raise BadInput(f"{path}: not a shading pack")
     if metadata["trajectory_sha256"] != _digests(view):
@@ -139,16 +132,15 @@ def read_pack(path: str | os.PathLike, view: View, trajectory: Trajectory) -> Pa
 def _digests(view: View) -> str | dict[str, str]:
     """The digest of the trajectory, or of each that the film's cloth is made of, by name."""
     if view.interpolation is None:
-        return file_digest(view.trajectory_path)
-    return {path.stem: file_digest(path) for path in view.parents}
+        return provenance.file_digest(view.trajectory_path)
+    return {path.stem: provenance.file_digest(path) for path in view.parents}
 
 
 def _rows(path: str | os.PathLike) -> Iterator[dict]:
-    """The pack's rows, a group of them at a time."""
-    with open_parquet(path) as file:
+    with provenance.open_parquet(path) as file:
         groups = file.num_row_groups
     for group in range(groups):
-        with open_parquet(path) as file:
+        with provenance.open_parquet(path) as file:
             rows = file.read_row_group(group).to_pylist()
         yield from rows
 

@@ -38,10 +38,7 @@ PROFILE = (
 
 
 def lags_m(stage_x_m: np.ndarray, stage_z_m: np.ndarray, length_m: float) -> np.ndarray:
-    """Place of the lower edge relative to the clamps, shape (T,): it stays until it is pulled.
-
-    Of clamps at (T,) along the track and above the floor, in steps much shorter than the reach.
-    """
+    """Place (T,) of the lower edge relative to the clamps: it stays until it is pulled."""
     reach = LAG * np.sqrt(np.maximum(length_m**2 - stage_z_m**2, 0.0))
     edge, found = float(stage_x_m[0]), np.empty(len(stage_x_m))
     for i, (x, half) in enumerate(zip(stage_x_m.tolist(), reach.tolist(), strict=True)):
@@ -133,8 +130,8 @@ def source_pixels(
 ) -> np.ndarray:
     """Position in the real image (`lens`) of each pixel of a crop, (n, n, 2) float64.
 
-    The crop's pixels, by default their centres, else places `along` (n,) either side, are taken to
-    show the surface. NaN where the crop looks past it or the real camera cannot see it.
+    The crop's pixels, their centres or places `along` (n,) either side, are taken to show the
+    surface. NaN where the crop looks past it or the real camera cannot see it.
     """
     along = np.arange(crop.pixels) if along is None else along
     size = len(along)

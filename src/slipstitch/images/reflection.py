@@ -22,7 +22,7 @@ import numpy as np
 from scipy.special import ive
 
 from slipstitch.images.camera import Camera
-from slipstitch.images.surroundings import Surroundings
+from slipstitch.images.surroundings import FLOOR_M, Surroundings
 from slipstitch.images.visibility import Visibility, sees_quad, visible_cloth
 
 # Standard deviations in pixels, upwards in the image, between which is interpolated.
@@ -87,8 +87,8 @@ def spread(light: np.ndarray, share: np.ndarray, blur: float) -> np.ndarray:
     """Light over share (C, H, W): smoothed within a region and carried a little way out of it.
 
     Around every pixel a plane is fitted to the light nearby: a mean would miss the gradient of a
-    shadow at the region's edge. `share` (H, W) is how much of the light is the region's, `blur` the
-    standard deviation in pixels of the weights.
+    shadow at the region's edge. `share` (H, W) is the region's, `blur` the weights' width in
+    pixels.
     """
     share = share.astype(np.float32)
     values = np.moveaxis(light, 0, -1).astype(np.float32) * (share > 0)[..., None]
@@ -123,6 +123,7 @@ GGX = tuple(
     (last - first, 1 / math.sqrt(-2 * math.log(1 - (first + last) / 2)))
     for first, last in itertools.pairwise((0.0, 0.02, 0.07, 0.25, 0.6, 1.0))
 )
+FLOOR_Z_M = float(FLOOR_M[0, 2])
 # Mirrored cloth is looked for this many pixels beyond the image too: it blurs into it.
 _MARGIN = 8
 # Cloth lies on the floor if it is no further away.
@@ -151,30 +152,28 @@ class MirroredSight:
     width: np.ndarray
     squeeze: float  # the blur's sideward width over its upward one
     surroundings: Surroundings  # the floor's look and the lamp's place
-    floor_z_m: float
 
 
 def mirrored_sight(
     positions_m: np.ndarray,
     faces: np.ndarray,
     vertex_uv: np.ndarray,
-    floor_m: np.ndarray,
     surroundings: Surroundings,
     cloth: Visibility,
     camera: Camera,
     rays: int,
 ) -> MirroredSight:
-    """Find the mirrored cloth, of a mesh, in a mirror with corners `floor_m` (4, 3) of one height.
+    """Find the mirrored cloth, of a mesh, in the floor.
 
     `cloth` is what the image's rays, `rays` along each side of a pixel, see of the cloth itself.
     """
-    wide, floor_z_m = camera.with_margin(_MARGIN), float(floor_m[0, 2])
+    wide = camera.with_margin(_MARGIN)
     fine = wide.at_resolution(wide.pixels * rays)
-    bare = sees_quad(floor_m, fine, rays)
+    bare = sees_quad(FLOOR_M, fine, rays)
     y, x = np.divmod(cloth.seen, camera.pixels * rays)
     bare[y + _MARGIN * rays, x + _MARGIN * rays] = False
     below = positions_m.copy()
-    below[:, 2] = 2 * floor_z_m - below[:, 2]
+    below[:, 2] = 2 * FLOOR_Z_M - below[:, 2]
     found = visible_cloth(below, faces, vertex_uv, fine, rays)
     keep = bare.ravel()[found.seen]
     seen, depth = found.seen[keep], found.depth_m[keep]
@@ -183,7 +182,7 @@ def mirrored_sight(
     right = (x - fine.matrix[0, 2]) / fine.matrix[0, 0]
     down = (y - fine.matrix[1, 2]) / fine.matrix[1, 1]
     up = camera.rotation[:, 2] @ np.stack([right, down, np.ones_like(right)])
-    floor_depth = (floor_z_m + camera.rotation[:, 2] @ camera.translation_m) / up
+    floor_depth = (FLOOR_Z_M + camera.rotation[:, 2] @ camera.translation_m) / up
     behind = np.clip(1 - floor_depth / depth, 0, 1)
     steepness = np.abs(up) / np.sqrt(1 + right**2 + down**2)
     width = 2 * surroundings.roughness**2 * camera.matrix[1, 1] * behind
@@ -199,7 +198,6 @@ def mirrored_sight(
         _carried_on(pixel, width, wide.pixels),
         float(steepness.mean()) if len(seen) else 1.0,
         surroundings,
-        floor_z_m,
     )
 
 
@@ -240,7 +238,7 @@ def mirror_shares(sight: MirroredSight, cells: int) -> MirrorShares:
     return MirrorShares(cloth, lit, width[inside])
 
 
-def glint_share(surroundings: Surroundings, floor_z_m: float, camera: Camera) -> np.ndarray:
+def glint_share(surroundings: Surroundings, camera: Camera) -> np.ndarray:
     """Share (pixels, pixels) of the lamp's light on a floor that is mirrored, not scattered.
 
     A GGX mirror (Walter et al. 2007) of Schlick's reflectance over a Lambertian body, a point lamp.
@@ -251,7 +249,7 @@ def glint_share(surroundings: Surroundings, floor_z_m: float, camera: Camera) ->
     ray = np.stack(np.broadcast_arrays(x, y, 1.0), axis=-1) @ camera.rotation
     eye = -camera.translation_m @ camera.rotation
     # Pixels that look over the horizon see no floor.
-    depth = (floor_z_m - eye[2]) / np.minimum(ray[..., 2], -1e-6)
+    depth = (FLOOR_Z_M - eye[2]) / np.minimum(ray[..., 2], -1e-6)
     to_lamp = np.array(surroundings.lamp_position_m) - (eye + depth[..., None] * ray)
     view, lamp = (
         vector / np.linalg.norm(vector, axis=-1, keepdims=True) for vector in (-ray, to_lamp)
@@ -287,10 +285,7 @@ def smooth_mirrored_light(
 
 
 def smooth_beside(light: np.ndarray, where: np.ndarray, coverage: np.ndarray) -> np.ndarray:
-    """Light (1, H, W) of a region (H, W), smoothed but for the edges that `coverage` has.
-
-    A guided filter: around each pixel the light is fitted by a linear function of the coverage.
-    """
+    """Light (1, H, W) of a region (H, W), smoothed by a filter that the coverage guides."""
     share = where.astype(np.float32)
     light = light.astype(np.float32) * share
     guide = np.clip(coverage, 0, 1).astype(np.float32)

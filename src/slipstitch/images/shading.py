@@ -25,17 +25,10 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from slipstitch.images import reflection
 from slipstitch.images.camera import Camera
-from slipstitch.images.reflection import (
-    MirroredSight,
-    glint_share,
-    mirror_shares,
-    mirrored_sight,
-    smooth_beside,
-    smooth_mirrored_light,
-    spread,
-)
-from slipstitch.images.surroundings import MATTE, Surroundings
+from slipstitch.images.reflection import MirroredSight, spread
+from slipstitch.images.surroundings import FLOOR_M, Surroundings
 from slipstitch.images.visibility import Visibility, sees_quad, visible_cloth
 
 #: The shading render has this many times the pixels of the image along each side.
@@ -85,19 +78,17 @@ def look(
     positions_m: np.ndarray,
     faces: np.ndarray,
     vertex_uv: np.ndarray,
-    floor_m: np.ndarray,
     camera: Camera,
-    surroundings: Surroundings = MATTE,
+    surroundings: Surroundings,
 ) -> Sight:
-    """Visibility of the rays of an image, of the cloth and a floor's corners (4, 3)."""
+    """Visibility of the rays of an image, of the cloth and the floor."""
     rays = _rays_per_side(camera.pixels)
     fine = camera.at_resolution(camera.pixels * rays)
-    cloth = visible_cloth(positions_m, faces, vertex_uv, fine, rays)
-    floor = sees_quad(floor_m, fine, rays)
+    mesh = (positions_m, faces, vertex_uv)
+    cloth, floor = visible_cloth(*mesh, fine, rays), sees_quad(FLOOR_M, fine, rays)
     mirrored = None
     if surroundings.reflects:
-        mesh = (positions_m, faces, vertex_uv, floor_m)
-        mirrored = mirrored_sight(*mesh, surroundings, cloth, camera, rays)
+        mirrored = reflection.mirrored_sight(*mesh, surroundings, cloth, camera, rays)
     return Sight(rays, cloth, floor, mirrored)
 
 
@@ -139,16 +130,16 @@ def _light_of_mirror(
     light: np.ndarray, glossy: np.ndarray, on_floor: np.ndarray, sight: MirroredSight
 ) -> tuple[np.ndarray, np.ndarray]:
     """Light (2, H, W) of the mirrored cloth, and all other light (3, H, W) of the floor."""
-    shares = mirror_shares(sight, LIGHT_OVERSAMPLING)
+    shares = reflection.mirror_shares(sight, LIGHT_OVERSAMPLING)
     camera = sight.camera.at_resolution(sight.camera.pixels * LIGHT_OVERSAMPLING)
     scene, by_cloth = glossy[0], glossy[1:]
-    mirrored = smooth_mirrored_light(by_cloth, on_floor, shares, sight.squeeze)
+    mirrored = reflection.smooth_mirrored_light(by_cloth, on_floor, shares, sight.squeeze)
     # What the floor scatters has the edges of shadows in it, and so has the lamp's glint; what it
     # mirrors of the dome has those of the mirrored cloth.
-    dome = scene - light[0, 0] * glint_share(sight.surroundings, sight.floor_z_m, camera)
+    dome = scene - light[0, 0] * reflection.glint_share(sight.surroundings, camera)
     still = spread(light[0, :1], on_floor, _FLOOR_BLUR[0])
     still += spread(light[1, :1] - dome, on_floor, _FLOOR_BLUR[1])
-    still += smooth_beside(dome, on_floor, shares.cloth)
+    still += reflection.smooth_beside(dome, on_floor, shares.cloth)
     thrown = spread(light[:, 1:].sum(axis=0) - by_cloth, on_floor, _CLOTH_LIGHT_BLUR)
     return mirrored, np.concatenate([still, thrown])
 
@@ -159,7 +150,6 @@ def _rays_per_side(pixels: int) -> int:
 
 
 def _shrink(image: np.ndarray, step: int) -> np.ndarray:
-    """Means over blocks of step x step pixels."""
     return cv2.resize(image, None, fx=1 / step, fy=1 / step, interpolation=cv2.INTER_AREA)
 
 

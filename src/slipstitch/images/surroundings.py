@@ -62,9 +62,9 @@ def of_a_family(viewpoint: str) -> bool:
 def drawn_by(simulation: str, viewpoint: str) -> str:
     """What the looks of a simulation's videos from a viewpoint (by name) are drawn by.
 
-    The bench (fabric and replicate), so that no look tells the coefficient. For a camera of the
-    family ``bench_1`` ... the whole simulation, so that none tells its fabric: harmless where whole
-    simulations are held out, the only split that is allowed with such cameras.
+    The bench, so that no look tells the coefficient. For a camera of the family ``bench_1`` ... the
+    whole simulation, so that none tells its fabric: harmless where whole simulations are held out,
+    the only split that is allowed with such cameras.
     """
     return simulation if of_a_family(viewpoint) else bench_of(simulation)
 
@@ -86,7 +86,6 @@ def draw_surroundings(
 
 
 def _draw_floor(names: Sequence[str], rng: np.random.Generator) -> tuple[str, float, float, float]:
-    """A floor's name, albedo, reflectance and roughness."""
     name = names[int(rng.integers(len(names)))]
     return name, *draw_look(name, rng)
 

@@ -16,6 +16,7 @@ import numpy as np
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import image_bytes
 from slipstitch.config.catalogue import TEXTURE_FAMILY, TEXTURES, is_texture_file
+from slipstitch.images.encoding import decode_srgb
 from slipstitch.images.surroundings import generator
 
 TEXELS = 512
@@ -36,9 +37,9 @@ def worn_texture(name: str, seed: int, simulation: str, viewpoint: str) -> str:
 def texture(name: str) -> np.ndarray:
     """Linear albedo (512, 512, 3) float32 of a texture, in [0.02, 0.8], read-only.
 
-    Row 0 is at v = 0 (the cloth's upper edge), column 0 at u = 0, values at texel centres. `name`
-    is one of `slipstitch.config.catalogue.TEXTURES`, an image file (sRGB), or what `worn_texture`
-    makes of a member of the family; BadInput if it is none of these.
+    Row 0 is at v = 0 (the cloth's upper edge), column 0 at u = 0. `name` is one of
+    `slipstitch.config.catalogue.TEXTURES`, an image file (sRGB), or of `worn_texture`; else
+    BadInput.
     """
     member, _, number = name.partition(":")
     centres = (np.arange(TEXELS) + 0.5) / TEXELS
@@ -49,8 +50,7 @@ def texture(name: str) -> np.ndarray:
         srgb = _read(file)
     else:
         srgb = _DRAWINGS[name](u, v, np.random.default_rng(TEXTURES[name]))
-    linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
-    albedo = np.clip(linear, _DARKEST, _LIGHTEST).astype(np.float32)
+    albedo = np.clip(decode_srgb(srgb), _DARKEST, _LIGHTEST).astype(np.float32)
     albedo.setflags(write=False)
     return albedo
 
@@ -134,22 +134,28 @@ def _tartan(u, v, rng):
     return cloth
 
 
+def _spots(x, y, pitch, radius, offset):
+    """Round spots; every second row is set off by a part of the pitch."""
+    offset = offset * np.mod(np.floor(y / pitch), 2)
+    from_centre = np.hypot(np.mod(x / pitch + offset, 1) - 0.5, np.mod(y / pitch, 1) - 0.5)
+    return _step(radius - from_centre, 1.5 / TEXELS / pitch)
+
+
 def _dots(u, v, rng):
-    pitch = 0.125
-    row = np.floor(v / pitch)
-    x = np.mod(u / pitch + 0.5 * np.mod(row, 2), 1) - 0.5
-    y = np.mod(v / pitch, 1) - 0.5
-    inside = _step(0.3 - np.hypot(x, y), 1.5 / TEXELS / pitch)
-    return _mix(_colour("274b8c"), _colour("f4efe2"), inside)
+    return _mix(_colour("274b8c"), _colour("f4efe2"), _spots(u, v, 0.125, 0.3, 0.5))
+
+
+def _woven(x, y, thread, repeat, over, top):
+    """1 where a dark thread is on top: half of a repeat; the warp is, `top` of `over` times."""
+    i, j = np.floor(x / thread).astype(int), np.floor(y / thread).astype(int)
+    warp_on_top = np.mod(i + j, over) < top
+    half = repeat / 2
+    return np.where(warp_on_top, np.mod(i, repeat) < half, np.mod(j, repeat) < half).astype(float)
 
 
 def _houndstooth(u, v, rng):
     # A 2/2 twill of four dark and four light threads each way.
-    thread = 0.025
-    i, j = np.floor(u / thread).astype(int), np.floor(v / thread).astype(int)
-    warp_on_top = np.mod(i + j, 4) < 2
-    dark = np.where(warp_on_top, np.mod(i, 8) < 4, np.mod(j, 8) < 4)
-    return _mix(_colour("efe9dc"), _colour("26221f"), dark.astype(float))
+    return _mix(_colour("efe9dc"), _colour("26221f"), _woven(u, v, 0.025, 8, 4, 2))
 
 
 def _floral(u, v, rng):
@@ -244,10 +250,7 @@ def _drawn_checks(x, y, rng):
 
 
 def _drawn_dots(x, y, rng):
-    pitch, radius = _period(rng, 0.04), rng.uniform(0.15, 0.42)
-    offset = rng.choice([0, 0.5]) * np.mod(np.floor(y / pitch), 2)
-    from_centre = np.hypot(np.mod(x / pitch + offset, 1) - 0.5, np.mod(y / pitch, 1) - 0.5)
-    return _step(radius - from_centre, 1.5 / TEXELS / pitch)
+    return _spots(x, y, _period(rng, 0.04), rng.uniform(0.15, 0.42), rng.choice([0, 0.5]))
 
 
 def _drawn_zigzag(x, y, rng):
@@ -257,20 +260,14 @@ def _drawn_zigzag(x, y, rng):
 
 
 def _drawn_blotches(x, y, rng):
-    """Islands of noise, with hard edges or soft."""
     cells = rng.integers(4, 24)
     shape = _noise(rng, cells, rng.integers(4, 24)) + 0.5 * _noise(rng, 2 * cells, 2 * cells)
     return _step(shape - rng.uniform(-0.2, 0.5), rng.uniform(0.05, 0.8))
 
 
 def _drawn_weave(x, y, rng):
-    """A twill or tweed of coarse threads."""
-    thread = _period(rng, 0.02, 0.05)
-    i, j = np.floor(x / thread).astype(int), np.floor(y / thread).astype(int)
-    repeat = rng.integers(2, 9)
-    warp_on_top = np.mod(i + j, rng.integers(2, 5)) < 1 + rng.integers(2)
-    half = repeat / 2
-    return np.where(warp_on_top, np.mod(i, repeat) < half, np.mod(j, repeat) < half).astype(float)
+    thread, repeat = _period(rng, 0.02, 0.05), rng.integers(2, 9)
+    return _woven(x, y, thread, repeat, rng.integers(2, 5), 1 + rng.integers(2))
 
 
 _PATTERNS: tuple[Callable, ...] = (

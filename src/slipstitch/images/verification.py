@@ -9,15 +9,8 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from slipstitch.base import provenance
 from slipstitch.base.errors import BadInput, SlipstitchError
-from slipstitch.base.provenance import (
-    open_parquet,
-    provenance_record,
-    read_metadata,
-    read_parquet,
-    start_clock,
-    write_json,
-)
 from slipstitch.config import Config
 from slipstitch.design.grid import texture_ids
 from slipstitch.images.composition import compose_light, join
@@ -93,8 +86,8 @@ def compare(
     """Compare one row of a shard with a direct render, from the files that it was composed from."""
     from slipstitch.images.blender import ClothScene
 
-    stored = read_parquet(shard).slice(row, 1).to_pylist()[0]
-    seen_from = read_metadata(shard)["viewpoint"]
+    stored = provenance.read_parquet(shard).slice(row, 1).to_pylist()[0]
+    seen_from = provenance.read_metadata(shard)["viewpoint"]
     view = View.identified(config, trajectory_path, seen_from["id"], seen_from["name"])
     name = texture_ids(config.render)[stored["texture"]]
     trajectory = view.trajectory()
@@ -143,14 +136,14 @@ def verify(
 ) -> list[Comparison]:
     """Render a random sample of the shards' images directly, compare, write that as JSON.
 
-    `render.verified_images` says how many, the seed which; `trajectories` and `packs` are folders,
-    `progress` wraps the list of images. BadInput if a file is missing or damaged; SlipstitchError
-    if an image is not the dataset's, or not near enough to the direct one.
+    `trajectories` and `packs` are folders, `progress` wraps the list of images. BadInput if a file
+    is missing or damaged; SlipstitchError if an image is not the dataset's, or too unlike the
+    direct one.
     """
-    started = start_clock()
+    started = provenance.start_clock()
     rows = []
     for path in sorted(map(str, shards)):
-        with open_parquet(path) as file:
+        with provenance.open_parquet(path) as file:
             if file.schema_arrow.names != SCHEMA.names:
                 raise BadInput(f"{path}: not an image shard")
             rows += [(path, row) for row in range(file.metadata.num_rows)]
@@ -164,16 +157,13 @@ def verify(
         inputs.update([path, *map(os.fspath, files)])
     worst = {
         "images": len(comparisons),
-        "lowest_psnr_db": min((comparison.psnr_db for comparison in comparisons), default=None),
-        "lowest_ssim": min((comparison.ssim for comparison in comparisons), default=None),
-        "comparisons": [
-            {**asdict(comparison), "passed": comparison.passed} for comparison in comparisons
-        ],
+        "lowest_psnr_db": min((one.psnr_db for one in comparisons), default=None),
+        "lowest_ssim": min((one.ssim for one in comparisons), default=None),
+        "comparisons": [{**asdict(one), "passed": one.passed} for one in comparisons],
     }
-    failed = [comparison for comparison in comparisons if not comparison.passed]
-    if failed:
+    if failed := [one for one in comparisons if not one.passed]:
         raise SlipstitchError("; ".join(map(_complaint, failed)))
-    record = provenance_record(
+    record = provenance.provenance_record(
         "render",
         inputs=sorted(inputs),
         # Another viewpoint makes another dataset, but no comparison untrue.
@@ -181,7 +171,7 @@ def verify(
         seed=config.seed,
         started=started,
     )
-    write_json(out, worst, record, allow_nan=True)
+    provenance.write_json(out, worst, record, allow_nan=True)
     return comparisons
 
 

@@ -17,24 +17,10 @@ from slipstitch.base.provenance import provenance_record
 from slipstitch.config import Config
 from slipstitch.config.catalogue import VIEWPOINTS, catalogue_entries
 from slipstitch.config.render import RenderSettings
-from slipstitch.design.grid import (
-    films,
-    floors_of,
-    is_reflective,
-    sampled_frames,
-    texture_ids,
-    viewpoint_ids,
-)
+from slipstitch.design import grid
 from slipstitch.design.interpolation import Interpolation, interpolations
-from slipstitch.images.calibrated_view import (
-    BenchCamera,
-    CalibratedView,
-    Rectifier,
-    bench_room,
-    cloth_size,
-    crop_to,
-    draw_bench_camera,
-)
+from slipstitch.images import calibrated_view
+from slipstitch.images.calibrated_view import BenchCamera, CalibratedView, Rectifier
 from slipstitch.images.camera import Camera
 from slipstitch.images.encoding import CameraEffects, draw_camera_effects, pixel_noise
 from slipstitch.images.surroundings import Surroundings, draw_surroundings
@@ -80,7 +66,7 @@ class View:
     @classmethod
     def of(cls, config: Config, trajectory_path: str | os.PathLike, viewpoint: str) -> "View":
         """The view of a configuration, with a viewpoint by its id or its name; else BadInput."""
-        ids = viewpoint_ids(config.render)
+        ids = grid.viewpoint_ids(config.render)
         name = ids.get(viewpoint, viewpoint)
         if name not in VIEWPOINTS:
             known = ", ".join(f"{key} ({value})" for key, value in ids.items())
@@ -90,9 +76,8 @@ class View:
             )
         # A viewpoint given by name keeps its id if the configuration has one.
         named = next((key for key, value in ids.items() if value == name), name)
-        return cls.identified(
-            config, trajectory_path, viewpoint if viewpoint in ids else named, name
-        )
+        identity = viewpoint if viewpoint in ids else named
+        return cls.identified(config, trajectory_path, identity, name)
 
     @classmethod
     def identified(
@@ -108,7 +93,7 @@ class View:
             config.sample.frames_kept,
             config.seed,
             interpolations(config).get(key),
-            films(config).get(key) or texture_ids(config.render),
+            grid.films(config).get(key) or grid.texture_ids(config.render),
         )
 
     @property
@@ -121,7 +106,7 @@ class View:
         """Pose of the camera, if its viewpoint belongs to a family; otherwise None."""
         if not VIEWPOINTS[self.viewpoint].drawn:
             return None
-        return draw_bench_camera(self.seed, self.simulation, self.viewpoint)
+        return calibrated_view.draw_bench_camera(self.seed, self.simulation, self.viewpoint)
 
     @property
     def surroundings(self) -> Surroundings:
@@ -130,11 +115,9 @@ class View:
 
     def camera_effects(self) -> dict[str, CameraEffects]:
         """Every texture's id -> the camera effects of its video."""
-        settings = self.settings.augmentation
+        drawn_for = self.settings.augmentation, self.seed, self.simulation
         return {
-            identity: draw_camera_effects(
-                settings, self.seed, self.simulation, name, self.viewpoint
-            )
+            identity: draw_camera_effects(*drawn_for, name, self.viewpoint)
             for identity, name in self.textures.items()
         }
 
@@ -171,13 +154,15 @@ class View:
         count = len(trajectory.frame)
         sampled = settings.frames == "sampled"
         result = []
-        for row in sampled_frames(count, self.frames_sampled) if sampled else range(count):
+        for row in grid.sampled_frames(count, self.frames_sampled) if sampled else range(count):
             time_s = float(trajectory.time_s[row])
             camera = calibrated.crop(time_s)
             if bench:
                 pixels = round(settings.pixels * settings.bench_camera.oversampling)
-                room = bench_room(camera, float(trajectory.stage_x_m[row]), calibrated.room(time_s))
-                camera = crop_to(bench.pose(*calibrated.pose), room, pixels)
+                room = calibrated_view.bench_room(
+                    camera, float(trajectory.stage_x_m[row]), calibrated.room(time_s)
+                )
+                camera = calibrated_view.crop_to(bench.pose(*calibrated.pose), room, pixels)
             result.append(Shot(int(row), int(trajectory.frame[row]), time_s, camera))
         return result
 
@@ -197,12 +182,11 @@ class View:
 
         `unused` are the keys of the settings that do not matter, as of `BaseModel.model_dump`.
         """
-        other_floors = (
-            "floors" if is_reflective(self.settings, self.viewpoint_id) else "reflective_floors"
-        )
+        reflective = grid.is_reflective(self.settings, self.viewpoint_id)
+        other_floors = "floors" if reflective else "reflective_floors"
         shown = self.settings.model_dump(mode="json", exclude={**unused, other_floors: True})
         camera = self.settings.camera_of(self.viewpoint)
-        floors = floors_of(self.settings, self.viewpoint_id)
+        floors = grid.floors_of(self.settings, self.viewpoint_id)
         return provenance_record(
             stage,
             inputs=[*self.parents, *([camera] if camera else []), *files],
@@ -220,6 +204,7 @@ class View:
 def camera_record(wanted: list[Shot], bench: BenchCamera | None = None) -> dict:
     """The cameras of all shots, as a shard's metadata holds them."""
     first = wanted[0].camera
+    crops = {shot.frame: shot.camera.matrix for shot in wanted}
     return {
         "convention": "OpenCV: x_camera = rotation x_world + translation_m; x right, y down, "
         "z forward; the centre of the first pixel is (0, 0); no distortion",
@@ -228,11 +213,8 @@ def camera_record(wanted: list[Shot], bench: BenchCamera | None = None) -> dict:
         "rotation": first.rotation.tolist(),
         "translation_m": first.translation_m.tolist(),
         "frames": {
-            str(shot.frame): {
-                "focal_px": shot.camera.matrix[0, 0],
-                "principal_point_px": shot.camera.matrix[:2, 2].tolist(),
-            }
-            for shot in wanted
+            str(frame): {"focal_px": matrix[0, 0], "principal_point_px": matrix[:2, 2].tolist()}
+            for frame, matrix in crops.items()
         },
     }
 
@@ -256,7 +238,7 @@ def usable_trajectory(path: str | os.PathLike) -> Trajectory:
     trajectory = read_trajectory(path)
     if trajectory.uv.min() < -1e-9 or trajectory.uv.max() > 1 + 1e-9:
         raise BadInput(f"{path}: texture coordinates are outside 0 ... 1")
-    if min(cloth_size(trajectory)) <= 0 or trajectory.stage_z_m.min() < 0:
+    if min(calibrated_view.cloth_size(trajectory)) <= 0 or trajectory.stage_z_m.min() < 0:
         raise BadInput(f"{path}: the cloth has no extent or hangs below the floor")
     return trajectory
 
@@ -266,17 +248,15 @@ def interpolated(
 ) -> Trajectory:
     """The weighted mean of trajectories on one mesh, frame by frame as far as it is a cloth.
 
-    Two simulations that roll over at other moments have no cloth between them: in their mean, edges
-    collapse. There, a frame shows the film's `own` simulation; ``metadata["interpolated_frames"]``
-    is the number of the others.
+    In the mean of two that roll over at other moments, edges collapse: there, a frame shows the
+    film's `own` simulation; ``metadata["interpolated_frames"]`` is the number of the others.
     """
     first, total = parents[own], sum(weights.values())
     for name, other in parents.items():
         for key in ("faces", "uv", "frame", "time_s", "stage_x_m"):
             if not np.array_equal(getattr(other, key), getattr(first, key)):
                 raise BadInput(f"{name}: its {key} is not that of {own}")
-    mean_m = np.zeros(first.positions_m.shape)
-    mean_z_m = np.zeros_like(first.stage_z_m)
+    mean_m, mean_z_m = np.zeros(first.positions_m.shape), np.zeros_like(first.stage_z_m)
     for name, weight in weights.items():
         mean_m += weight / total * parents[name].positions_m
         mean_z_m += weight / total * parents[name].stage_z_m

@@ -37,8 +37,7 @@ def ray_places(x: np.ndarray, y: np.ndarray, tile: int) -> tuple[np.ndarray, np.
     """Image coordinates of the rays of the pixels (x, y).
 
     Each tile of n x n rays is sheared to lie on n^2 different columns and rows: an edge along them
-    is then resolved in n^2 steps, not n (multi-jittered sampling: Chiu, Shirley & Wang 1994, with
-    the correlated shuffle of Kensler 2013).
+    is then resolved in n^2 steps, not n (Chiu, Shirley & Wang 1994; the shuffle of Kensler 2013).
     """
     shuffle = _SHUFFLE[tile]
     return (x + (shuffle[y % tile] + 0.5) / tile - 0.5, y + (shuffle[x % tile] + 0.5) / tile - 0.5)

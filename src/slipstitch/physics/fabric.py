@@ -64,20 +64,15 @@ def _fabric(path: Path, name: str, entry: dict) -> Fabric:
         if not isinstance(entry, dict) or key not in entry:
             raise BadInput(f"{where}: {key} is missing")
         try:
-            value = np.array(entry[key], dtype=float)
+            arrays[key] = np.array(entry[key], dtype=float)
         except (TypeError, ValueError):
             raise BadInput(f"{where}: {key} must contain only numbers") from None
-        if value.shape != shape:
-            raise BadInput(f"{where}: {key} has shape {value.shape}, must be {shape}")
-        if not np.isfinite(value).all():
-            raise BadInput(f"{where}: {key} contains a non-finite value")
-        arrays[key] = value
-    if arrays["areal_density_kg_m2"] <= 0:
-        raise BadInput(f"{where}: areal_density_kg_m2 must be positive")
-    if (arrays["bending_N_m"] <= 0).any():
-        raise BadInput(f"{where}: bending_N_m must be positive throughout")
-    if (arrays["stretching_N_m"][0, [0, 2]] <= 0).any():
-        raise BadInput(f"{where}: stretching_N_m row 0 must have positive c11 and c22")
+        if arrays[key].shape != shape or not np.isfinite(arrays[key]).all():
+            raise BadInput(f"{where}: {key} must be finite numbers of shape {shape}")
+    at_rest = arrays["stretching_N_m"][0, [0, 2]]
+    for key, values in (arrays | {"stretching_N_m": at_rest}).items():
+        if (values <= 0).any():
+            raise BadInput(f"{where}: {key} must be positive (of stretching c11 and c22, row 0)")
     return Fabric(name, **arrays | {"areal_density_kg_m2": float(arrays["areal_density_kg_m2"])})
 
 
@@ -157,7 +152,7 @@ def isotropic_tables(
 ) -> ElasticTables:
     """Return tables of an isotropic, linear sheet, for comparison with theory.
 
-    The plate rigidity is a quarter of the hinges' stiffness where it is held cylindrical.
+    The plate rigidity is a quarter of the hinges' stiffness where the sheet is held cylindrical.
     """
     plane = membrane_stiffness_N_m / (1 - poisson_ratio**2)
     k = np.array([plane, poisson_ratio * plane, plane, (1 - poisson_ratio) * plane])

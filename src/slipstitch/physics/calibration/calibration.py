@@ -5,18 +5,11 @@ import math
 import os
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
+from slipstitch.base import provenance
 from slipstitch.base.errors import BadInput, SlipstitchError
 from slipstitch.base.progress import note, progress
-from slipstitch.base.provenance import (
-    provenance_record,
-    read_json,
-    reading,
-    start_clock,
-    write_json,
-)
 from slipstitch.config.simulation import BASE, KEYS, SimulationSettings
 from slipstitch.physics.calibration.sweep import RunProtocol, sweep, sweep_inputs, verified_settings
 from slipstitch.physics.experiments.specimen import Demand
@@ -43,16 +36,23 @@ NOT_TOLD = (
 )
 
 INCLINE_FRICTIONS = (0.1, 0.5, 1.2)
-INCLINE_MARGIN = 1e-3  # a body sticks so much below tan(slope) = mu, and slides so much above
-INCLINE_STEEP = 1.5  # acceleration is compared at tan(slope) = this times mu
+# tan(slope) over mu, of which a body sticks below 1 and slides above -> demands by name.
+INCLINES = {
+    0.999: {
+        "sticks": Demand("sticks", relative=False, theory=1.0),
+        "creep": Demand("creep_m", 1e-6, relative=False, theory=0.0),  # in 1 s
+    },
+    1.001: {"sticks": Demand("sticks", relative=False, theory=0.0)},
+    1.5: {"acceleration": Demand("acceleration_m_s2", 1e-3)},
+}
 FLAT_DRAG_FRICTIONS = (0.1, 0.5, 1.0)
+FLAT_DRAG = {"pull over weight": Demand("pull_over_weight", 5e-3)}
 STRIP_DRAG_FRICTIONS = (0.1, 0.3, 0.6, 1.0, 1.5)
 STRIP_DRAG_GRAVITY_LENGTH_M = 0.02  # (B/w)^(1/3)
-UNITS = {"creep_m": "m", "acceleration_m_s2": "m/s²"} | dict.fromkeys(
-    ("pull_over_w_m", "holder_ahead_of_tail_m"), "m"
-)
-
-Runner = Callable[[str, Mapping[str, Any]], Mapping[str, Any]]
+STRIP_DRAG = {
+    "pull": Demand("pull_over_w_m", 0.01),
+    "tail": Demand("holder_ahead_of_tail_m", 1e-3, relative=False),
+}
 
 Trial = dict[str, Any]
 Draw = Callable[[Mapping[str, Any], Mapping[str, Any], bool], None]
@@ -65,9 +65,8 @@ class DemandNotMet(SlipstitchError):  # noqa: N818 - says what happened, as the 
 def judge(trial: Mapping[str, Any]) -> Trial:
     """Add to a trial of `sweep.sweep` what its runs are worth.
 
-    That is ``strain_error`` and ``friction_error`` (the largest of the runs that slip, or None),
-    ``wrong_regimes`` (with runs that were not solved), ``meets``, ``distance`` (largest error over
-    its limit, infinite with a wrong regime), ``work`` (iterations x vertices), and ``cpu_s``.
+    Errors are the largest of the runs that slip, or None; ``distance`` is the largest over its
+    limit, infinite with a wrong or unsolved regime; ``work`` is iterations x vertices.
     """
     runs = trial["runs"]
     right = [run for run in runs if run["regime"] == run["theory_regime"]]
@@ -93,8 +92,7 @@ def judge(trial: Mapping[str, Any]) -> Trial:
 def choose(trials: Sequence[Trial]) -> Trial:
     """Return the configured settings if they meet the requirements, else the cheapest that do.
 
-    What may be chosen instead is tighter: the grid costs more with it, whatever a single push
-    costs. `DemandNotMet` names the closest if no eligible settings meet the requirements.
+    `DemandNotMet` names the closest if no eligible settings meet the requirements.
     """
     base = next(trial for trial in trials if trial["key"] == BASE)
     if base["meets"]:
@@ -130,50 +128,6 @@ def describe(trial: Mapping[str, Any]) -> str:
     return f"{trial['key']} = {trial['settings'][trial['key']]:g}"
 
 
-@dataclass(frozen=True)
-class Experiment:
-    """One run of a protocol, and the demands on numbers of its result, by name."""
-
-    protocol: str
-    options: dict[str, float]
-    demands: Mapping[str, Demand]
-
-    def describe(self) -> str:
-        """Protocol and options in one line."""
-        options = (f"{key}={value:.6g}" for key, value in self.options.items())
-        return " ".join([self.protocol, *options])
-
-    def run(self, runner: Runner) -> tuple[list[dict[str, Any]], dict[str, Any]]:
-        """Run the experiment by a function of protocol and options; name it in an error.
-
-        Return a check for each demand (`_check`), and the protocol's result.
-        """
-        try:
-            result = dict(runner(self.protocol, self.options))
-        except SlipstitchError as error:
-            raise type(error)(f"{self.describe()}: {error}") from error
-        return [self._check(*demand, result) for demand in self.demands.items()], result
-
-    def _check(self, name: str, demand: Demand, result: Mapping[str, Any]) -> dict[str, Any]:
-        judged = demand.verdict(result)
-        return {
-            "name": f"{self.protocol} {name}",
-            "protocol": self.protocol,
-            "options": dict(self.options),
-            "measured": _finite(result[demand.key]),
-            "theory": _finite(demand.expected(result)),
-            "error": judged["error"],
-            "demand": demand.allowed,
-            "relative": demand.relative,
-            "unit": UNITS.get(demand.key, ""),
-            "met": judged["met"],
-        }
-
-
-def _finite(value: float | None) -> float | None:
-    return float(value) if value is not None and math.isfinite(value) else None
-
-
 def describe_check(check: Mapping[str, Any]) -> str:
     """One line: check, options, measured, theory, limit."""
     where = ", ".join(f"{key} {value:.6g}" for key, value in check["options"].items())
@@ -188,64 +142,62 @@ def describe_check(check: Mapping[str, Any]) -> str:
     )
 
 
-_SLOPES = (
-    (
-        1.0 - INCLINE_MARGIN,
-        {
-            "sticks": Demand("sticks", relative=False, theory=1.0),
-            "creep": Demand("creep_m", 1e-6, relative=False, theory=0.0),  # in 1 s
-        },
-    ),
-    (1.0 + INCLINE_MARGIN, {"sticks": Demand("sticks", relative=False, theory=0.0)}),
-    (INCLINE_STEEP, {"acceleration": Demand("acceleration_m_s2", 1e-3)}),
-)
-_FLAT_DRAG = {"pull over weight": Demand("pull_over_weight", 5e-3)}
-_STRIP_DRAG = {
-    "pull": Demand("pull_over_w_m", 0.01),
-    "tail": Demand("holder_ahead_of_tail_m", 1e-3, relative=False),
-}
-
-
-def experiments() -> list[Experiment]:
-    """All experiments, the cheap ones first."""
-    inclines = [
-        Experiment(
-            "incline",
-            {"friction": mu, "slope_deg": math.degrees(math.atan(multiple * mu))},
-            demands,
-        )
+def experiments() -> list[tuple[str, dict[str, float], Mapping[str, Demand]]]:
+    """Protocol, options and demands by name of all experiments, the cheap ones first."""
+    found: list[tuple[str, dict[str, float], Mapping[str, Demand]]] = [
+        ("incline", {"friction": mu, "slope_deg": math.degrees(math.atan(multiple * mu))}, demands)
         for mu in INCLINE_FRICTIONS
-        for multiple, demands in _SLOPES
+        for multiple, demands in INCLINES.items()
     ]
-    flat = [Experiment("flat-drag", {"friction": mu}, _FLAT_DRAG) for mu in FLAT_DRAG_FRICTIONS]
+    found += [("flat-drag", {"friction": mu}, FLAT_DRAG) for mu in FLAT_DRAG_FRICTIONS]
     length = {"gravity_length_m": STRIP_DRAG_GRAVITY_LENGTH_M}
-    strips = [
-        Experiment("strip-drag", {"friction": mu} | length, _STRIP_DRAG)
-        for mu in STRIP_DRAG_FRICTIONS
-    ]
-    return inclines + flat + strips
+    found += [("strip-drag", {"friction": mu} | length, STRIP_DRAG) for mu in STRIP_DRAG_FRICTIONS]
+    return found
+
+
+def _check(protocol: str, options: dict[str, float], name: str, demand: Demand, result) -> Trial:
+    key, judged = demand.key, demand.verdict(result)
+    values = {"measured": result[key], "theory": demand.expected(result)}
+    return {
+        "name": f"{protocol} {name}",
+        "protocol": protocol,
+        "options": options,
+        **{
+            name: float(value) if value is not None and math.isfinite(value) else None
+            for name, value in values.items()
+        },
+        "error": judged["error"],
+        "demand": demand.allowed,
+        "relative": demand.relative,
+        "unit": "m/s²" if key.endswith("_m_s2") else "m" if key.endswith("_m") else "",
+        "met": judged["met"],
+    }
 
 
 def calibrate(simulation: SimulationSettings, run_protocol: RunProtocol) -> dict[str, Any]:
     """Run every experiment with the numerical settings to verify, by `registry.run_protocol`.
 
-    Returns ``settings`` (verified), ``met`` (all of them), ``checks`` (see `Experiment.run`)
-    and ``experiments`` (protocol, options, result and wall time in s of each run).
+    Return ``settings`` (verified), ``met`` (all of them), ``checks`` (one a demand) and
+    ``experiments`` (protocol, options, result and wall time in s of each run).
     """
-    checks, runs = [], []
-    for experiment in progress(experiments(), unit="experiment"):
+    checks: list[Trial] = []
+    runs: list[Trial] = []
+    for protocol, options, demands in progress(experiments(), unit="experiment"):
         began = time.perf_counter()
-        judged, result = experiment.run(
-            lambda name, options: run_protocol(name, dict(options), simulation)
-        )
+        said = " ".join([protocol, *(f"{key}={value:.6g}" for key, value in options.items())])
+        try:
+            result = dict(run_protocol(protocol, dict(options), simulation))
+        except SlipstitchError as error:
+            raise type(error)(f"{said}: {error}") from error
         wall_s = round(time.perf_counter() - began, 3)
-        checks += judged
-        run = {"protocol": experiment.protocol, "options": experiment.options}
-        runs.append(run | {"result": result, "wall_s": wall_s})
+        runs.append({"protocol": protocol, "options": options, "result": result, "wall_s": wall_s})
+        judged = [
+            _check(protocol, options, name, demand, result) for name, demand in demands.items()
+        ]
         failed = [check for check in judged if not check["met"]]
-        verdict = "NOT MET" if failed else "agrees with theory"
-        note(f"{experiment.describe()}: {verdict}, {wall_s:.1f} s")
+        note(f"{said}: {'NOT MET' if failed else 'agrees with theory'}, {wall_s:.1f} s")
         note(*(f"  {describe_check(check)}" for check in failed))
+        checks += judged
     return {
         "settings": verified_settings(simulation),
         "met": all(check["met"] for check in checks),
@@ -261,7 +213,7 @@ def write_calibration(calibration: Mapping[str, Any], path: str | os.PathLike, r
         note(json.dumps(calibration, indent=1, default=str))
         others = f" (and {len(failed) - 1} more)" if len(failed) > 1 else ""
         raise DemandNotMet(describe_check(failed[0]) + others)
-    write_json(path, calibration, record)
+    provenance.write_json(path, calibration, record)
 
 
 def strip_calibration(trials: list[dict[str, Any]]) -> dict[str, Any]:
@@ -296,20 +248,20 @@ def calibrate_to_file(
 ) -> dict:
     """Calibrate with a whole configuration and write the JSON file, or raise `DemandNotMet`.
 
-    Without `sweeps`, files of `sweep.sweep_to_file`, they are made now. `draw` is told what there
-    is to draw, its record, and whether a requirement is not met: handed over, so that plots are no
-    part of the calibration, as another line width would simulate everything again.
+    Without `sweeps`, files of `sweep.sweep_to_file`, they are made now. `draw` gets what there is
+    to draw, its record, and whether a requirement is not met; plots are no part of the calibration,
+    as another line width would simulate everything again.
     """
     from slipstitch.physics.experiments.registry import run_protocol
 
-    started = start_clock()
+    started = provenance.start_clock()
     settings, simulation = config.calibrate, config.simulation
     if sweeps is None:
         keys = (BASE, *KEYS)
         trials = [trial for key in keys for trial in sweep(key, settings, simulation, run_protocol)]
     else:
         trials = read_sweeps(sweeps, config)
-    record = provenance_record(
+    record = provenance.provenance_record(
         "calibrate.calibration",
         inputs=list(sweeps or ()),
         config={"simulation": simulation, "calibrate": settings},
@@ -333,10 +285,7 @@ def calibrate_to_file(
 
 
 def _known_convergence(simulation: SimulationSettings) -> dict[str, Any]:
-    """What the convergence study says at the chosen settings, and the digest of its table.
-
-    Not converged is no error: no known answer tells how short a step a fabric needs.
-    """
+    """What the convergence study says at the chosen settings, and the digest of its table."""
     study = convergence.read_study()
     if study is None:
         note("convergence: no study came with the package")
@@ -368,8 +317,8 @@ def read_sweeps(paths: list[str | os.PathLike], config) -> list[dict[str, Any]]:
     again = "regenerate them with: snakemake --cores 2 calibrate"
     trials: list[dict[str, Any]] = []
     for path in paths:
-        with reading(path, "sweep of the calibration"):
-            for trial in read_json(path):
+        with provenance.reading(path, "sweep of the calibration"):
+            for trial in provenance.read_json(path):
                 inputs, made_with = expected[trial["key"]], trial.pop("inputs", {})
                 other = sorted(name for name in inputs if made_with.get(name) != inputs[name])
                 if other:

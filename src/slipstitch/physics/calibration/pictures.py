@@ -22,13 +22,8 @@ from slipstitch.base.page.wording import evenly
 from slipstitch.base.provenance import provenance_record, read_json, recorded_path, start_clock
 from slipstitch.config.load import calibrated_settings
 from slipstitch.config.simulation import BASE, KEYS
-from slipstitch.physics.experiments.plane import incline_theory
-from slipstitch.physics.experiments.strip import LENGTH_M, strip_state, strip_state_at_foot_angle
-from slipstitch.physics.experiments.strip_drag import (
-    HOLDER_M,
-    flexible_strip_drag,
-    steady_strip_drag,
-)
+from slipstitch.physics.experiments import plane, strip, strip_drag
+from slipstitch.physics.experiments.strip import LENGTH_M
 
 FABRICS = ((MEASURED, "o"), (BLUE, "D"))
 # Settings as words, and the unit of their values.
@@ -54,8 +49,7 @@ def draw_pictures(
 ) -> None:
     """Draw what a calibration holds; of one that chose no settings, those that were tried.
 
-    The pictures are files by name: ``checks``, ``strip``, ``settings``. Where a requirement is not
-    met, ``failed`` stands before the suffix.
+    Where a requirement is not met, ``failed`` stands before the suffix of each file.
     """
     figures = {"settings": settings_figure}
     if "chosen" in calibration["strip"]:
@@ -116,7 +110,7 @@ def _incline(axes: Axes, runs: Sequence[Run]) -> None:
     ]
     grid = np.linspace(0.8, 1.05 * max(ratios), 301)
     for friction in sorted({run["options"]["friction"] for run in runs}):
-        theory = [incline_theory(friction, math.atan(ratio * friction)) for ratio in grid]
+        theory = [plane.incline_theory(friction, math.atan(ratio * friction)) for ratio in grid]
         axes.plot(grid, theory, color=THEORY, lw=1.2)
         axes.annotate(
             f"µ = {friction:g}", (grid[-1], theory[-1]), xytext=(-2, 3), ha="right",
@@ -144,9 +138,10 @@ def _strip_drag(axes: Axes, runs: Sequence[Run], quantity: str, title: str, ylab
     frictions = [run["options"]["friction"] for run in runs]
     length_m = runs[0]["options"]["gravity_length_m"]
     grid = np.linspace(0.02, 1.15 * max(frictions), 21)
-    flexible = [flexible_strip_drag(mu, LENGTH_M, HOLDER_M) for mu in grid]
+    of_strip = LENGTH_M, strip_drag.HOLDER_M
+    flexible = [strip_drag.flexible_strip_drag(mu, *of_strip) for mu in grid]
     stiff = [
-        steady_strip_drag(mu, LENGTH_M, HOLDER_M, length_m, holder_angle_rad=None) for mu in grid
+        strip_drag.steady_strip_drag(mu, *of_strip, length_m, holder_angle_rad=None) for mu in grid
     ]
     for drags, colour, style, label in (
         (flexible, FAINT, ":", "no bending rigidity"),
@@ -166,7 +161,7 @@ def _strip_drag(axes: Axes, runs: Sequence[Run], quantity: str, title: str, ylab
 @cache
 def _slip_curve() -> np.ndarray:
     """Friction coefficient and slip strain, shape (n, 2), up to the flat foot."""
-    states = [strip_state_at_foot_angle(angle) for angle in np.linspace(0.02, np.pi / 2, 30)]
+    states = [strip.strip_state_at_foot_angle(angle) for angle in np.linspace(0.02, np.pi / 2, 30)]
     return np.array([[0.0, 0.0], *([state.load_ratio, state.strain] for state in states)])
 
 
@@ -184,10 +179,7 @@ def _reached(run: Run) -> float | None:
 
 @styled
 def strip_figure(calibration: Mapping[str, Any]) -> Figure:
-    """Slip strain against friction, and the strip's shape before it slips, by fabric.
-
-    The paper's Figure 3 for this simulator, from ``strip.chosen.runs`` of calibration.json.
-    """
+    """Draw slip strain against friction, and the strip's shape before it slips (paper, Fig. 3)."""
     runs = calibration["strip"]["chosen"]["runs"]
     moduli = sorted({run["young_modulus_Pa"] for run in runs})
     figure = new_figure(9.6, 4.4)
@@ -235,7 +227,9 @@ def _shapes(axes: Axes, at: float, runs: Sequence[Run]) -> None:
         if not len(shape):
             continue
         if index == 0:
-            curve = strip_state(np.clip(run["shape_strain"], 1e-5, _slip_curve()[-1, 1])).curve
+            curve = strip.strip_state(
+                np.clip(run["shape_strain"], 1e-5, _slip_curve()[-1, 1])
+            ).curve
             axes.plot(
                 at + to_one_side(curve), curve[-1, 1] - curve[:, 1], color=THEORY, lw=1.0, zorder=2
             )
@@ -250,10 +244,7 @@ def _shapes(axes: Axes, at: float, runs: Sequence[Run]) -> None:
 
 @styled
 def settings_figure(calibration: Mapping[str, Any]) -> Figure:
-    """One column per setting: slip strain with each value, and the largest error against the value.
-
-    From ``strip.trials`` and ``strip.demand`` of calibration.json.
-    """
+    """Draw slip strains with each value of each setting, and the largest errors."""
     trials = calibration["strip"]["trials"]
     base = next(trial for trial in trials if trial["key"] == BASE)
     keys = [key for key in KEYS if any(trial["key"] == key for trial in trials)]

@@ -68,12 +68,11 @@ def _run(modulus, friction, vertices, simulation, run_protocol) -> dict[str, Any
     from slipstitch.physics.experiments.strip import strip_slip_strain, theory_regime
 
     options = {"friction": friction, "gamma": gamma_of(modulus), "vertices": vertices}
-    began = time.process_time()
+    began, result, failure = time.process_time(), {}, None
     try:
-        result = dict(run_protocol("strip", options, simulation))
-        failure = None
+        result = run_protocol("strip", options, simulation)
     except NotConverged as error:
-        result, failure = {}, str(error)
+        failure = str(error)
     shape_m = result.get("shape_m", [])[::STEPS_OF_SHAPE]
     return {
         "young_modulus_Pa": modulus,
@@ -92,7 +91,7 @@ def sweep(
 ) -> list[dict[str, Any]]:
     """Push the strip with all settings of one key; one line each on stderr.
 
-    A result has ``key``, ``settings`` and ``runs``, by fabric and friction coefficient.
+    Each result has ``key``, ``settings`` and ``runs``, by fabric and friction coefficient.
     """
     results = []
     for tried in progress(variations(key, settings, simulation), unit="setting"):

@@ -133,8 +133,7 @@ def stiffness_in_step(
     Taken at the start of the step, a stiffness that grows faster than in proportion to curvature
     never settles: under a given moment M the curvature M / ke(curvature before) jumps to and fro.
     Taken at the end, one that falls faster leaves the step without a stable solution nearby. The
-    third rule is that of the end as long as the moment grows with curvature, and holds the moment
-    where it would fall.
+    third rule is the end's, but holds the moment where it would fall as curvature grows.
     """
     rule = hinges.stiffness_rule
     if rule == OF_END:

@@ -94,8 +94,7 @@ def ground_coordinates(x: np.ndarray, curvature: float) -> tuple[np.ndarray, np.
 class FrictionState:
     """The friction law, and what it may ask of a node; Coulomb's law uses only the coefficient.
 
-    The direction is that of the anchor's pull and the speed that of the step being solved for:
-    both implicit. Rest or motion, dwell and slides are those at the beginning of the step.
+    Direction and speed are implicit; rest or motion, dwell and slides are those before the step.
     """
 
     extended: bool  # whether the limit is other than Coulomb's
@@ -228,10 +227,7 @@ def symmetric_block(node: int, p: wp.vec3d, nodes: Nodes, law: FrictionState) ->
 
 @wp.kernel
 def node_stiffness(x: wp.array(dtype=wp.vec3d), nodes: Nodes, law: FrictionState, entries: Entries):
-    """Add inertia and the symmetric part of contact to the diagonal blocks.
-
-    An element's entries are (xx, yx, yy, zx, zy, zz) of a node's own block.
-    """
+    """Add inertia and contact's symmetric part to each block (xx, yx, yy, zx, zy, zz)."""
     i = wp.tid()
     inertia = nodes.mass_kg[i] * nodes.inverse_step_squared[0]
     block = wp.identity(n=3, dtype=wp.float64) * inertia
@@ -322,10 +318,7 @@ class Conditions:
 
 
 class FloorFriction:
-    """Law and contact history of the nodes, as the kernels read them.
-
-    From a load of ``full_touch_N`` on, a node touches with its whole area.
-    """
+    """Law and contact history of the nodes, as the kernels read them."""
 
     def __init__(
         self,

@@ -34,10 +34,7 @@ class ClothMesh:
 
 
 def rectangle(rows: int, columns: int, length_m: float, width_m: float) -> ClothMesh:
-    """Mesh a rectangle with right triangles whose diagonals alternate.
-
-    Rows and length are down (v), columns and width across (u); at least two rows and columns.
-    """
+    """Mesh a rectangle with alternating diagonals: rows and length down (v), columns across (u)."""
     if rows < 2 or columns < 2:
         raise BadInput(f"mesh of {rows} x {columns} vertices: must be at least 2 x 2")
     if not (length_m > 0 and width_m > 0):
@@ -75,10 +72,7 @@ def _hinges(faces: np.ndarray) -> np.ndarray:
 
 
 def _dissect(block: np.ndarray, order: list[int]) -> None:
-    """Order a block of the grid: both halves first, then the two lines that part them.
-
-    Two lines, because a hinge couples vertices two lines apart.
-    """
+    """Order a block of the grid: both halves, then the two lines that hinges couple over."""
     if block.size <= 100 or max(block.shape) < 5:
         order.extend(block.ravel().tolist())
         return

@@ -359,7 +359,6 @@ class _Boxes:
         )
 
     def tree(self) -> wp.uint64:
-        """Tree of the boxes as they are now."""
         if self._tree is None:
             self._tree = wp.Bvh(self.lower, self.upper)
         else:

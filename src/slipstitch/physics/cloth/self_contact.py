@@ -294,7 +294,6 @@ class SelfContact:
             pairs.anchors.assign(np.where(fresh[:, None], here.numpy(), anchors))
 
     def _launch(self, kernel, inputs: list) -> None:
-        """Launch a kernel over the listed pairs."""
         if len(self):
             wp.launch(kernel, dim=len(self), inputs=inputs, device=self.device)
 

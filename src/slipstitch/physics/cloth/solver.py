@@ -277,11 +277,7 @@ class ClothSolver:
         return correction.reshape(-1, 3)
 
     def _exact_correction(self, x: np.ndarray, residual: np.ndarray) -> np.ndarray:
-        """Newton correction with the exact tangent, by a Jacobian-free Krylov method.
-
-        GMRES on J A^-1 y = -r; products with the tangent J are differences of the
-        out-of-balance force (Knoll and Keyes 2004).
-        """
+        """Newton correction, the tangent's products by differences (Knoll and Keyes 2004)."""
         self._products = 0
 
         def product(y: np.ndarray, displacement: np.ndarray) -> np.ndarray:
@@ -299,9 +295,9 @@ class ClothSolver:
     def _search(self, x, residual, correction):
         """Move along a correction to where the work of the out-of-balance forces on it is small.
 
-        The line search of Matthies and Strang (1979): a root of residual . correction, which
-        needs no energy and so allows for friction. Beyond a point of instability the work
-        grows; then the full step is taken, downhill.
+        The line search of Matthies and Strang (1979): a root of residual . correction, which needs
+        no energy and so allows for friction. Where the work grows (instability) the full step is
+        taken.
         """
         start = float(np.vdot(residual, correction))
         low, low_work, high, high_work = 0.0, start, None, None
@@ -381,8 +377,7 @@ class ClothSolver:
     def _guess(self, target: np.ndarray, step_s: float) -> np.ndarray:
         """Initial guess: as if the acceleration of the last steps went on.
 
-        But nodes in contact stay as deep in the ground as they are, and no other one goes in: a
-        depth of micrometres, extrapolated, is a load many times the cloth's.
+        But no node goes deeper into the ground: micrometres, extrapolated, are many times the load.
         """
         guess = target + 0.5 * step_s * (step_s + self._last_step_s) * self._acceleration_m_s2
         curvature = self.ground_curvature_per_m
@@ -467,8 +462,7 @@ class ClothSolver:
     def start(self, preload_N: np.ndarray | float = 0.0) -> None:
         """Take the present positions as the beginning of the motion (strains, anchors).
 
-        ``preload_N`` (V, 2) is the tangential force of the cloth on the floor that friction bears
-        at the beginning: after a slow tilt, say.
+        ``preload_N`` (V, 2) is the tangential force that friction bears at the beginning.
         """
         place, _ = contact.ground_coordinates(self.positions_m, self.ground_curvature_per_m)
         anchor = place[:, :2] - preload_N / self.contact_stiffness_N_m[:, None]
@@ -533,7 +527,6 @@ class ClothSolver:
         return min(times * self._last_step_s, self._accurate_step_s)
 
     def _attempt(self, step_s, prescribed: Callable | None, may_refine: bool) -> Outcome:
-        """Try a step, and count it if it fails."""
         outcome = self._try_step(step_s, prescribed, may_refine)
         if outcome is Outcome.INACCURATE:
             self.record.refinements += 1

@@ -62,14 +62,12 @@ class _Pattern:
         return self.block_start[block] + before + row - column
 
     def entries(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Block, row and column, 0...2 each, of every entry."""
         block = np.repeat(np.arange(len(self.keys)), 9)
         r, c = (np.tile(one.ravel(), len(self.keys)) for one in np.mgrid[0:3, 0:3])
         below = (self.row[block] != self.column[block]) | (r >= c)
         return block[below], r[below], c[below]
 
     def matrix(self) -> cvxopt.spmatrix:
-        """The pattern as a matrix of ones."""
         block, r, c = self.entries()
         rows = np.empty(self.entry_count, dtype=np.int64)
         columns = np.empty(self.entry_count, dtype=np.int64)
@@ -211,11 +209,10 @@ def flexible_gmres(
     accuracy: float,
     products_max: int,
 ) -> np.ndarray:
-    """Solve K x = b for x (n,), to where it comes within the products allowed.
+    """Solve K x = b for x (n,), b not zero, to where it comes within the products allowed.
 
-    Saad, SIAM J. Sci. Comput. 14 (1993): the preconditioned basis is kept. SciPy's GMRES solves
-    with the preconditioner once more for its answer, a third of the solves here. ``solve`` gives
-    d = A^-1 y, ``product`` K d from y and d; b is not zero, the accuracy relative to its size.
+    Saad, SIAM J. Sci. Comput. 14 (1993): the preconditioned basis is kept, which saves SciPy's last
+    solve, a third of them here. ``solve`` gives d = A^-1 y, ``product`` K d from y and d.
     """
     size = float(np.linalg.norm(right))
     basis, solutions = [right / size], []

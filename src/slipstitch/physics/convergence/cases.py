@@ -82,10 +82,7 @@ def case_settings(
 def simulate_case(
     config: Config, name: str, out: str | os.PathLike, calibration: str | os.PathLike | None
 ) -> tuple[Trajectory, float]:
-    """Simulate the case with an id and write it; the run, and its CPU time in s.
-
-    The record names the calibration that settings were taken from.
-    """
+    """Simulate the case with an id and write it; return the run, and its CPU time in s."""
     from slipstitch.physics.simulation.drop_and_drag import DropAndDrag, simulate_drop_and_drag
     from slipstitch.physics.simulation.trajectory import write_trajectory
 

@@ -46,8 +46,8 @@ def events(run: Trajectory) -> dict[str, float | None]:
     """Times of the fast events, in s; None for one that does not happen.
 
     ``landing``: the lower edge comes to within 1 mm of the floor. ``slip``: from when on it is 2 mm
-    from where it lay as the stroke began. ``flip``: its vertices move relative to the clamps at
-    20 mm/s on average, twice the speed of the stage, and fastest. ``slip 2`` is of stroke 2.
+    from where it lay as the stroke began. ``flip``: its vertices move relative to the clamps at 20
+    mm/s on average, and fastest. ``slip 2`` is of stroke 2.
     """
     time_s = run.time_s
     found: dict[str, float | None] = {"landing": _first(time_s, 1e-3 - _lower_edge_m(run)[:, 2])}
@@ -136,13 +136,11 @@ def _first(time_s: np.ndarray, value: np.ndarray) -> float | None:
 def compare(run: Trajectory, finest: Trajectory, sides: tuple[int, ...]) -> dict[str, Any]:
     """Distance between two runs with the same frames, vertex by vertex, and at shifted times.
 
-    ``sides`` are the vertices a side of all meshes that are to be compared at the same places.
-    Return ``mean_m`` over vertices and time, ``mean_largest_m`` of a moment, ``worst_m`` of any
-    vertex; ``shifted_mean_m`` and ``shifted_largest_m``, every moment compared with that moment of
-    the finest, up to 2 s before or after, which is most like it (straight from frame to frame; the
-    largest less what that leaves out of a curved way), and ``worst_shift_s``, how much later that
-    is at the largest mean; ``steady_largest_m``, the largest mean while both runs are steadily
-    dragged, or None; ``events``, times in both and their difference; and ``curve``, thinned out.
+    ``sides`` are the vertices a side of all meshes to compare at the same places. ``shifted``
+    numbers compare every moment with that of the finest, up to 2 s apart, which is most like it,
+    straight from frame to frame, the largest less what that leaves out of a curved way;
+    ``worst_shift_s`` is how much later that is at the largest mean, ``steady_largest_m`` the
+    largest mean while both runs are steadily dragged, or None; ``curve`` is thinned out.
     """
     if len(run.time_s) != len(finest.time_s) or np.abs(run.time_s - finest.time_s).max() > 1e-9:
         raise BadInput("the runs have different frames; regenerate them")
@@ -241,15 +239,10 @@ def comparisons(config: Config, runs: Mapping[str, Trajectory]) -> list[dict[str
             for case in members[:-1]:
                 run = runs[case.id]
                 found.append(
-                    {
-                        "material": case.material,
-                        "friction": case.friction,
-                        "kind": kind,
-                        "time_step_s": run.metadata["step_s"],
-                        "vertices_per_side": case.vertices_per_side,
-                        "finest": members[-1].id,
-                        **compare(run, runs[members[-1].id], sides),
-                    }
+                    {name: getattr(case, name) for name in ("material", "friction")}
+                    | {"kind": kind, "time_step_s": run.metadata["step_s"]}
+                    | {"vertices_per_side": case.vertices_per_side, "finest": members[-1].id}
+                    | compare(run, runs[members[-1].id], sides)
                 )
     return found
 
@@ -257,10 +250,7 @@ def comparisons(config: Config, runs: Mapping[str, Trajectory]) -> list[dict[str
 def summary(compared: list[dict[str, Any]]) -> list[dict[str, Any]]:
     """The summary for the metadata of simulations: the chosen settings, pair by pair.
 
-    A row has ``material, friction, time_step, mesh, verdict``; of a refinement, None where not
-    studied, it holds `SUMMARISED` numbers, ``event_shift_s`` (the largest), ``events_missing``
-    (in one run only) and a ``verdict``. That of both is the worse one, or None if not both were
-    studied.
+    The verdict is the worse of those of both refinements, or None if not both were studied.
     """
     rows: dict[tuple[str, float], dict] = {}
     for comparison in compared:

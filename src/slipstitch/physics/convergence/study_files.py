@@ -63,12 +63,12 @@ def publish(study_path: str | os.PathLike, folder: str | os.PathLike) -> int:
     study = provenance.read_json(source)
     with provenance.reading(source, "convergence study"):
         own, missing = study["settings"]["convergence"], study["missing"]
+        settings = study["settings"]
         table = {
             "studied": {
-                "time_step_s": study["settings"]["time_step_s"],
-                "window_s": own["window_s"],
-                "mean_distance_m": own["mean_distance_m"],
-                "simulation": study["settings"]["simulation"],
+                "time_step_s": settings["time_step_s"],
+                **{name: own[name] for name in ("window_s", "mean_distance_m")},
+                "simulation": settings["simulation"],
             },
             "cases": study["summary"],
         }
@@ -123,10 +123,8 @@ def convergence_figure(study: Mapping[str, Any]) -> Figure:
                 chosen = case is next(o for o in shown if o["friction"] == case["friction"])
                 _draw(axes, case, colours[frictions.index(case["friction"])], chosen)
             axes.set_yscale("log")
-            axes.axhline(
-                1e3 * study["settings"]["convergence"]["mean_distance_m"],
-                color=FAINT, lw=0.8, ls=":",
-            )  # fmt: skip
+            converged_mm = 1e3 * study["settings"]["convergence"]["mean_distance_m"]
+            axes.axhline(converged_mm, color=FAINT, lw=0.8, ls=":")
             if not shown:
                 axes.text(0.5, 0.5, "not run", transform=axes.transAxes, ha="center")
     figure.supxlabel("time, s", fontsize=8)
@@ -151,10 +149,9 @@ def convergence_figure(study: Mapping[str, Any]) -> Figure:
 
 def _draw(axes, case: Mapping[str, Any], colour, chosen: bool) -> None:
     curve = case["curve"]
-    in_mm = {
-        name: np.maximum(1e3 * np.array(curve[name]), LEAST_MM)
-        for name in ("mean_m", "shifted_mean_m")
-    }
-    axes.plot(curve["time_s"], in_mm["mean_m"], color=colour, lw=1.6 if chosen else 0.7)
+    mean_mm, shifted_mm = (
+        np.maximum(1e3 * np.array(curve[name]), LEAST_MM) for name in ("mean_m", "shifted_mean_m")
+    )
+    axes.plot(curve["time_s"], mean_mm, color=colour, lw=1.6 if chosen else 0.7)
     if chosen:
-        axes.plot(curve["time_s"], in_mm["shifted_mean_m"], color=colour, lw=0.9, ls="--")
+        axes.plot(curve["time_s"], shifted_mm, color=colour, lw=0.9, ls="--")

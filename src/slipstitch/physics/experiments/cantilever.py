@@ -36,10 +36,9 @@ class HeavyCantilever:
 def _from_the_tip(parameter: float) -> HeavyCantilever:
     """Integrate from the free end, where two of the three unknowns are known.
 
-    With lengths in units of (B/ρg)^(1/3) and δ = π/2 − θ, the equation is δ'' = s sin δ from
-    δ(0) = δ₀, δ'(0) = 0; the clamp is where δ first reaches π/2. Every δ₀ is the tip of one strip
-    and Γ is the cube of its length, so that no other branch can be met by mistake. δ₀ falls to 0
-    as the parameter, and Γ with it, grows without bound.
+    With lengths in units of (B/ρg)^(1/3) and δ = π/2 − θ, δ'' = s sin δ from δ(0) = δ₀, δ'(0) = 0
+    to the clamp, where δ first reaches π/2. Every δ₀ is the tip of one strip and Γ is the cube of
+    its length: no other branch can be met by mistake. δ₀ falls to 0 as the parameter, and Γ, grow.
     """
     tip_deficit = 0.5 * math.pi / (1.0 + math.exp(parameter))
 
@@ -68,10 +67,10 @@ def _from_the_tip(parameter: float) -> HeavyCantilever:
 
 
 def heavy_cantilever(gamma: float) -> HeavyCantilever:
-    """Sag of a strip clamped horizontally at one end.
+    """Sag of a strip clamped horizontally at one end, 10⁻³ ≤ Γ ≤ 10⁴.
 
     Solves θ'' = −Γ (1 − s) cos θ with θ(0) = 0 at the clamp and θ'(1) = 0 at the tip (θ below the
-    horizontal; Bickley 1934; Peirce 1930 for cloth), by shooting from the tip; 10⁻³ ≤ Γ ≤ 10⁴.
+    horizontal; Bickley 1934; Peirce 1930 for cloth), by shooting from the tip.
     """
     gamma = specimen.require("gamma", gamma, *THEORY_GAMMAS)
     parameter = brentq(lambda x: math.log(_from_the_tip(x).gamma / gamma), *_PARAMETERS, xtol=1e-12)
@@ -81,8 +80,7 @@ def heavy_cantilever(gamma: float) -> HeavyCantilever:
 def cantilever(settings: SimulationSettings, gamma: float) -> dict[str, Any]:
     """Height over width of a strip at rest, at Γ = areal density x gravity x length^3 / B.
 
-    The rigidity is the one that the mesh has: read off a sag so small that it is linear (Γ/8 of the
-    length). Return ``[theory_]height_over_width`` and ``hinge_stiffness_over_rigidity``, ke/B.
+    The mesh's rigidity is read off a sag so small that it is linear (Γ/8 of the length).
     """
     guess = 4.0
     _, down_m = _sag(settings, SMALL_GAMMA, guess)

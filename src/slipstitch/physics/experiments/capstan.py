@@ -27,11 +27,9 @@ DEMANDS = (specimen.Demand("tension_ratio", 0.02),)
 
 
 def capstan_theory(friction: float, wrap_rad: float) -> float:
-    """Ratio of the tensions of a strip that slips around a fixed cylinder.
+    """Ratio of the tensions of a strip that slips around a fixed cylinder by an angle φ (rad).
 
-    T₂/T₁ = exp(μ φ) (Euler 1769, Eytelwein 1808). A strip of bending rigidity B around radius R
-    follows it for B/(T R²) < 0.01. The friction coefficient μ and the angle φ of contact (rad) are
-    at least 0.
+    T₂/T₁ = exp(μ φ) (Euler 1769, Eytelwein 1808), of a bending rigidity B/(T R²) < 0.01.
     """
     return exp(
         specimen.require("friction", friction, 0.0) * specimen.require("wrap_rad", wrap_rad, 0.0)
@@ -39,10 +37,7 @@ def capstan_theory(friction: float, wrap_rad: float) -> float:
 
 
 def capstan(settings: SimulationSettings, friction: float, wrap_deg: float) -> dict[str, Any]:
-    """Pull a strip around a cylinder until all of it slips.
-
-    Return ``[theory_]tension_ratio`` and ``bending_over_tension``, B/(T R²) at the held end.
-    """
+    """Pull a strip around a cylinder until all of it slips: tension ratio, B/(T R²) where held."""
     wrap = radians(wrap_deg)
     expected = capstan_theory(friction, wrap)
     if expected > LARGEST_RATIO:

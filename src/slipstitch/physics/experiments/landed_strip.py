@@ -16,13 +16,8 @@ from slipstitch.config.section import FRICTION_MAX
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.cloth import ClothSolver, Conditions
-from slipstitch.physics.experiments import specimen
-from slipstitch.physics.experiments.strip import (
-    FLAT_FOOT_RAD,
-    LENGTH_M,
-    StripState,
-    strip_state_at_foot_angle,
-)
+from slipstitch.physics.experiments import specimen, strip
+from slipstitch.physics.experiments.strip import FLAT_FOOT_RAD, LENGTH_M, StripState
 
 THICKNESS_M = 5.0e-4
 SPEED_M_S = 0.004  # at the stage's 10 mm/s the heavy part still swings
@@ -70,7 +65,7 @@ def _solve(gamma: float, foot_angle: float, guess):
 
 def _weightless(foot_angle: float):
     """The strip without weight, with the signs of this boundary value problem."""
-    state = strip_state_at_foot_angle(foot_angle)
+    state = strip.strip_state_at_foot_angle(foot_angle)
     path = state.curve
     steps = np.gradient(path, _STATIONS, axis=0)
     angle = np.arctan2(steps[:, 0], steps[:, 1])
@@ -83,7 +78,6 @@ def _weightless(foot_angle: float):
 
 @lru_cache(maxsize=16)
 def _flat_foot(gamma: float):
-    """The strip whose foot lies flat, continued from the weightless one."""
     guess = _weightless(FLAT_FOOT_RAD)
     for step in _LADDER[gamma > _LADDER]:
         guess = _solve(float(step), FLAT_FOOT_RAD, guess)
@@ -97,28 +91,21 @@ def _state(foot_angle: float, solved) -> StripState:
 
 
 def landed_strip_theory(gamma: float) -> StripState:
-    """State at which the foot of a lowered heavy strip comes to lie flat.
+    """State at which the foot of a lowered heavy strip comes to lie flat; Γ = w L³/B to 3000.
 
-    A strip hangs from a clamp, straight down, and is lowered on a floor. Its foot, held by
-    friction below the clamp, carries P and Q; the strip above buckles sideways,
-
-        B θ'' = −((P − w (L − s)) sin θ + Q cos θ),  θ(0) = 0,  θ'(L) = 0,  ∫ sin θ ds = 0,
-
-    θ from the vertical, s from the clamp: the strip of Sano, Yamaguchi & Wada (2017) with its
-    weight. |Q|/P grows until the foot's tangent lies flat. With less friction than the ratio
-    there the foot slips, and the tail lies down straight; with more it is folded under: the state's
-    ``load_ratio`` is the friction coefficient that parts slipping from folding. Γ = w L³/B is
-    between 0 and 3000.
+    A strip hangs from a clamp, straight down, and is lowered on a floor. Its foot, held by friction
+    below the clamp, carries P and Q; the strip above buckles sideways: B θ'' = −((P − w (L − s))
+    sin θ + Q cos θ), θ(0) = 0, θ'(L) = 0, ∫ sin θ ds = 0, θ from the vertical, s from the clamp, as
+    of Sano, Yamaguchi & Wada (2017) but with weight. |Q|/P grows until the foot's tangent lies
+    flat. With less friction than the ``load_ratio`` there the foot slips and the tail lies down
+    straight; with more it is folded under.
     """
     gamma = specimen.require("gamma", gamma, 0.0, LARGEST_GAMMA)
     return _state(FLAT_FOOT_RAD, _flat_foot(gamma))
 
 
 def landed_strip_slip_strain(friction: float, gamma: float) -> float | None:
-    """Strain at which the foot of a lowered heavy strip slips; None if it lies flat first.
-
-    The friction coefficient is at least 0.02, Γ as for `landed_strip_theory`.
-    """
+    """Strain at which the foot of a lowered strip slips; None if it lies flat first."""
     friction = specimen.require("friction", friction, SMALLEST_FRICTION)
     flat = landed_strip_theory(gamma)
     if friction > flat.load_ratio:
@@ -132,13 +119,8 @@ def landed_strip_slip_strain(friction: float, gamma: float) -> float | None:
             nearest = float(step)
         return _state(nearest, solved[nearest])
 
-    angle = brentq(
-        lambda angle: at(angle).load_ratio - friction,
-        SMALLEST_FOOT_ANGLE_RAD,
-        FLAT_FOOT_RAD,
-        xtol=1e-6,
-    )
-    return at(angle).strain
+    ends = SMALLEST_FOOT_ANGLE_RAD, FLAT_FOOT_RAD
+    return at(brentq(lambda angle: at(angle).load_ratio - friction, *ends, xtol=1e-6)).strain
 
 
 def landed_strip(
@@ -150,9 +132,8 @@ def landed_strip(
     """Lower a strip that hangs straight down, its foot at the floor, until it slips or lies flat.
 
     The gravity length is (B/w)^(1/3), of bending rigidity and weight per area; `vertices` are the
-    rows along the strip. Return ``outcome`` (slips, folds or stands), ``slip_strain`` or
-    ``flat_strain``, the descent since the foot touched, over the length, each also as ``theory_…``;
-    ``foot_moved_m``, a centimetre lower; ``gamma`` and ``theory_threshold_friction``.
+    rows along the strip. Strains are the descent since the foot touched, over the length;
+    ``outcome`` is slips, folds or stands; ``foot_moved_m`` is read a centimetre lower.
     """
     gamma = (LENGTH_M / gravity_length_m) ** 3
     flat = landed_strip_theory(gamma)

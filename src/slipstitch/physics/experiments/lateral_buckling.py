@@ -33,12 +33,11 @@ DEMANDS = (specimen.Demand("critical_gamma", 0.05),)
 
 
 def lateral_buckling_theory(bending: float, torsion: float) -> float:
-    """Critical weight of a strip clamped at one end, its plane vertical, that sags sideways.
+    """Critical weight Γ* = ρ g L³ / D of a strip clamped at one end, its plane vertical.
 
-    A beam under its own weight q per length buckles sideways at q L³ = 12.854 √(EI · GJ)
-    (Prandtl 1899; Timoshenko & Gere 1961, sec. 6.3). For a thin isotropic strip of width b and
-    plate rigidity D, EI = (1 − ν²) D b and GJ = 2 (1 − ν) D b. Given EI and GJ, both over D b,
-    returns Γ* = ρ g L³ / D, dimensionless (areal density ρ).
+    A beam under its own weight q per length buckles sideways at q L³ = 12.854 √(EI · GJ) (Prandtl
+    1899; Timoshenko & Gere 1961, sec. 6.3), EI and GJ here over D b: of a thin isotropic strip of
+    width b and plate rigidity D they are 1 − ν² and 2 (1 − ν).
     """
     return NARROW_STRIP * sqrt(bending * torsion)
 
@@ -46,10 +45,9 @@ def lateral_buckling_theory(bending: float, torsion: float) -> float:
 def lateral_buckling(settings: SimulationSettings, width_over_length: float) -> dict[str, Any]:
     """Weight over rigidity at which the strip buckles sideways.
 
-    A small sideways weight bends the strip by d, amplified by 1/(1 - (Γ/Γ*)²) as the critical
-    weight comes near: Γ/d falls linearly in Γ² to zero at Γ* (Southwell 1932). Return
-    ``critical_gamma`` and ``theory_critical_gamma``, areal density x gravity x length^3 over the
-    plate's rigidity ke/4, and the strip's rigidities over the plate's times width.
+    A small sideways weight bends the strip by d, amplified by 1/(1 - (Γ/Γ*)²): Γ/d falls linearly
+    in Γ² to zero at Γ* (Southwell 1932). Γ is over the plate's rigidity ke/4, the strip's
+    rigidities over the plate's times width.
     """
     solver = _strip(settings, width_over_length, held_ends=1)
     bending = SMALL_GAMMA * LENGTH_M / (8 * _sideways_m(solver, SMALL_GAMMA, 1.0, 0.0))

@@ -28,8 +28,7 @@ FLAT_DRAG_DEMANDS = (specimen.Demand("pull_over_weight", 0.005),)
 def incline_theory(friction: float, slope_rad: float) -> float:
     """Acceleration (m/s²) of a body on an inclined plane, released at rest; 0 where it sticks.
 
-    Amontons-Coulomb: sticks while tan θ ≤ μ, static and kinetic alike, else slides with
-    a = g (sin θ − μ cos θ); 0 ≤ θ < π/2.
+    Amontons-Coulomb: sticks while tan θ ≤ μ, else slides with a = g (sin θ − μ cos θ); 0 ≤ θ < π/2.
     """
     friction = specimen.require("friction", friction, 0.0)
     slope = specimen.require("slope_rad", slope_rad, 0.0, BELOW_UPRIGHT_RAD)
@@ -46,10 +45,7 @@ def _square(
     side_m: float = 0.02,
     led: bool = False,
 ) -> ClothSolver:
-    """Cloth that lies as deep in the plane as its weight presses it there.
-
-    `led`: its leading edge, v = 0, is led along x.
-    """
+    """Cloth that lies as deep in the plane as its weight presses it; led: by its edge v = 0."""
     mesh = rectangle(vertices, vertices, side_m, side_m)
     across, down = mesh.rest_uv_m.T
     place = [side_m - down, across] if led else [across, down]
@@ -72,10 +68,7 @@ def _gravity_on(slope_rad: float) -> tuple[float, float, float]:
 
 
 def incline(settings: SimulationSettings, friction: float, slope_deg: float) -> dict[str, Any]:
-    """A square of cloth on a plane tilted slowly to a slope, for one second from there.
-
-    Return ``sticks``, ``creep_m`` and ``[theory_]acceleration_m_s2``, the final speed over time.
-    """
+    """Tilt a square of cloth slowly to a slope, and let it go for one second from there."""
     slope = radians(slope_deg)
     solver = _square(settings, friction, slope)
     start_m = solver.positions_m[:, :2]
@@ -95,10 +88,10 @@ def incline(settings: SimulationSettings, friction: float, slope_deg: float) -> 
 def tilt(
     settings: SimulationSettings, friction: float, static_kinetic: float = 0.0
 ) -> dict[str, Any]:
-    """A square of cloth on a plane that is tilted slowly from the horizontal until it slides.
+    """Tilt a plane with a square of cloth slowly from the horizontal until the cloth slides.
 
-    The static coefficient exceeds the kinetic one, ``friction``, by ``static_kinetic`` of it.
-    Return ``[theory_]slope_at_slip``, the tangent of the slope where it breaks away, or None.
+    The static coefficient exceeds the kinetic one, ``friction``, by ``static_kinetic`` of it;
+    ``slope_at_slip`` is the tangent of the slope where the cloth breaks away, or None.
     """
     law = FrictionLaw(friction, {"static_kinetic": {"static_kinetic": static_kinetic}})
     expected = friction * (1 + static_kinetic)
@@ -116,10 +109,9 @@ def tilt(
 
 
 def flat_drag(settings: SimulationSettings, friction: float) -> dict[str, Any]:
-    """A square of cloth lying flat, pulled along the floor by its leading edge.
+    """Pull a square of cloth that lies flat along the floor by its leading edge.
 
-    Every part of the sheet carries its own weight, so that the pull is μ times the whole weight
-    whatever the shape (Amontons 1699). Return ``[theory_]pull_over_weight``.
+    The pull is μ times the whole weight, whatever the shape (Amontons 1699).
     """
     solver = _square(settings, friction, vertices=11, side_m=0.1, led=True)
     pulled = specimen.carried(solver.positions_m, 0.01, 0.0, 0.0)

@@ -36,26 +36,21 @@ class Demand:
         """Theory's value."""
         return result[f"theory_{self.key}"] if self.theory is None else self.theory
 
-    def error(self, result: Mapping[str, Any]) -> float:
-        """The error of a result; infinite where one of the two values is no number."""
+    def verdict(self, result: Mapping[str, Any]) -> dict[str, Any]:
+        """The error (None where a value is no number), what is allowed, and whether it is met."""
         measured, expected = result[self.key], self.expected(result)
         if measured is None or expected is None or isinstance(expected, str):
-            return 0.0 if measured == expected else math.inf
-        off = abs(measured - expected)
-        if math.isnan(off):
-            return math.inf
-        if not self.relative or off <= self.zero:
-            return off
-        return off / abs(expected) if expected else math.inf
-
-    def verdict(self, result: Mapping[str, Any]) -> dict[str, Any]:
-        """The error (None: not to be compared), what is allowed, and whether it is met."""
-        error = self.error(result)
+            error = 0.0 if measured == expected else math.inf
+        else:
+            error = abs(measured - expected)
+            if self.relative and error > self.zero:
+                error = error / abs(expected) if expected else math.inf
+        known = math.isfinite(error)
         return {
-            "error": None if math.isinf(error) else error,
+            "error": error if known else None,
             "allowed": self.allowed,
             "relative": self.relative,
-            "met": error <= max(self.allowed, self.zero),
+            "met": known and error <= max(self.allowed, self.zero),
         }
 
 
@@ -89,9 +84,8 @@ def held(mesh: ClothMesh, rows: int, cylindrical: bool = True) -> np.ndarray:
 def cylindrical_strip_tables(membrane_stiffness_N_m: float, rigidity_Nm: float) -> ElasticTables:
     """Tables of a strip that bends about the mesh lines across it and resists twist.
 
-    A narrow mesh of alternating diagonals bends more easily than a cylinder, by ke/4.95 instead
-    of ke/4: its cross edges tilt to and fro. Stiff diagonals keep them from it, and the
-    rigidity B of a unit width is the cylinder's. The cells of the mesh must be squares.
+    A narrow mesh of alternating diagonals bends by ke/4.95 instead of a cylinder's ke/4: its cross
+    edges tilt to and fro, but for stiff diagonals. The cells of the mesh must be squares.
     """
     tables = isotropic_tables(AREAL_DENSITY_KG_M2, membrane_stiffness_N_m, 4 * rigidity_Nm)
     bending_N_m = tables.bending_N_m.copy()
@@ -120,10 +114,7 @@ def started(
     conditions: Conditions | None = None,
     **changes: Any,
 ) -> ClothSolver:
-    """Return a solver at the beginning of the motion, some of its settings changed.
-
-    Specimens never touch themselves.
-    """
+    """Return a solver at the beginning of the motion, some settings changed, no self-contact."""
     solver = ClothSolver(
         mesh,
         tables,

@@ -53,10 +53,7 @@ class StripState:
 
 
 def strip_buckling_load() -> float:
-    """Push P L²/B at which a clamped-hinged strip buckles.
-
-    √P is the first positive root of tan x = x (Euler 1744): P = 20.19.
-    """
+    """Push P L²/B at which a clamped-hinged strip buckles: √P = tan √P (Euler 1744), 20.19."""
     return brentq(lambda x: math.sin(x) - x * math.cos(x), 4.0, 4.7, xtol=1e-14) ** 2
 
 
@@ -117,12 +114,10 @@ def _branch() -> tuple[np.ndarray, np.ndarray]:
 
 @lru_cache(maxsize=256)
 def strip_state_at_foot_angle(foot_angle_rad: float) -> StripState:
-    """Equilibrium of the strip whose foot is tilted by a given angle.
+    """Equilibrium of the strip whose foot is tilted by 0.001 to π/2, where the foot lies flat.
 
-    Solves B θ'' = −(P sin θ + Q cos θ), θ(0) = 0 (clamp), θ'(L) = 0 (hinged foot),
-    ∫ sin θ ds = 0 (foot under the clamp) by shooting, continued from the buckled straight strip.
-    The angle of the foot's tangent from the vertical is 0.001 to π/2, where the foot lies flat,
-    and the hinge stops being one.
+    Solves B θ'' = −(P sin θ + Q cos θ), θ(0) = 0 (clamp), θ'(L) = 0 (hinged foot), ∫ sin θ ds = 0
+    (foot under the clamp) by shooting, continued from the buckled straight strip.
     """
     angle = specimen.require("foot_angle_rad", foot_angle_rad, 1e-3, FLAT_FOOT_RAD)
     angles, states = _branch()
@@ -144,11 +139,7 @@ def _at(quantity, target: float) -> StripState:
 
 
 def strip_state(strain: float) -> StripState:
-    """Equilibrium of the strip, its foot held by friction, at a given strain.
-
-    The strain is at least 10⁻⁶, at most 0.3303, where the foot lies flat; the state's
-    ``load_ratio`` is the friction it needs to hold.
-    """
+    """Equilibrium, the foot held by friction, at a strain from 10⁻⁶ to 0.3303 (flat foot)."""
     flat = strip_state_at_foot_angle(FLAT_FOOT_RAD)
     strain = specimen.require("strain", strain, 1e-6, flat.strain)
     if strain == flat.strain:
@@ -160,8 +151,9 @@ def strip_state(strain: float) -> StripState:
 def strip_slip_strain(friction: float) -> float | None:
     """Strain at which the foot of a pushed strip slips; 0 without friction, None if it never does.
 
-    |Q|/P grows with the strain; the foot slips where it reaches μ. At ε = 0.3303, |Q|/P = 0.3564
-    the foot lies flat: with more friction the strip never slips as a whole (Sano et al. 2017).
+    The foot slips where |Q|/P, which grows with the strain, reaches μ. At ε = 0.3303, |Q|/P =
+    0.3564 the foot lies flat: with more friction the strip never slips as a whole (Sano et al.
+    2017).
     """
     friction = specimen.require("friction", friction, 0.0)
     smallest = strip_state_at_foot_angle(1e-3)
@@ -180,13 +172,11 @@ def strip(
     gamma: float = 0.0,
     strain: float = LARGEST_STRAIN,
 ) -> dict[str, Any]:
-    """A 20 cm strip pushed on the floor until its foot slips or lies flat.
+    """Push a 20 cm strip on the floor until its foot slips or lies flat.
 
-    ``vertices`` are the rows along the strip, ``gamma`` is weight over rigidity, areal density x
-    gravity x length^3 / B, and ``strain`` how far it is pushed, over its length. Return
-    ``[theory_]slip_strain`` (None if it never slips as a whole), ``[theory_]regime``,
-    ``friction_at_slip`` (|Q|/P), ``friction_read_from_strain`` (by theory), ``flat_strain``;
-    ``strain`` and ``load_ratio`` of each step, ``shape_m`` at ``shape_strain``, iterations.
+    ``vertices`` are the rows along the strip, ``gamma`` is areal density x gravity x length^3 / B,
+    and ``strain`` how far the strip is pushed, over its length. ``friction_at_slip`` is |Q|/P,
+    ``strain`` and ``load_ratio`` are those of each step, ``shape_m`` is at ``shape_strain``.
     """
     push = _push(settings, friction, int(vertices), gamma, strain)
     slip_strain = push["slip_strain"]
@@ -220,8 +210,8 @@ def _push(
 ) -> dict[str, Any]:
     """Push until the foot slips, lies flat, or the strain is reached.
 
-    It slips where |Q|/P, extrapolated, reaches the friction coefficient in the step in which the
-    foot moved, and lies flat in the middle of that step.
+    The foot slips where |Q|/P, extrapolated, reaches μ in the step in which the foot moved, and
+    lies flat in the middle of that step.
     """
     solver, start_m = _buckled_strip(settings, friction, vertices, gamma)
     step_s = settings.time_step_s

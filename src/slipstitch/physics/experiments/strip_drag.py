@@ -17,18 +17,8 @@ from slipstitch.base.errors import BadInput, NotConverged
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.cloth import rectangle
-from slipstitch.physics.experiments.specimen import (
-    AREAL_DENSITY_KG_M2,
-    MEMBRANE_STIFFNESS_N_M,
-    Demand,
-    advance_evenly,
-    carried,
-    cylindrical_strip_tables,
-    hanging_with_tail,
-    held,
-    require,
-    started,
-)
+from slipstitch.physics.experiments import specimen
+from slipstitch.physics.experiments.specimen import Demand, require
 
 DEMANDS = (Demand("pull_over_w_m", 0.02), Demand("flat_tail_m", 1e-3, relative=False))
 LENGTH_M, HOLDER_M = 0.20, 0.15  # of the simulated strip, and height of its holder, a hinge
@@ -51,11 +41,8 @@ def flexible_strip_drag(friction: float, length_m: float, height_m: float) -> St
     """Steady drag of a strip without bending rigidity.
 
     A catenary that runs into the floor tangentially: with a tail of length c on the floor the
-    tension there is μ w c, and (H + μ c)² = (μ c)² + (L − c)², hence
-
-        c = L + μ H − √((L + μ H)² − L² + H²),    pull = μ w c.
-
-    With a holder's height H ≥ L the strip hangs clear of the floor.
+    tension there is μ w c, and (H + μ c)² = (μ c)² + (L − c)², hence c = L + μ H − √((L + μ H)² −
+    L² + H²), pull = μ w c. With a holder's height H ≥ L the strip hangs clear of the floor.
     """
     friction = require("friction", friction, 0.0)
     length, height = require("length_m", length_m, 1e-9), require("height_m", height_m, 1e-9)
@@ -90,10 +77,7 @@ class _Elastica:
     holder_angle: float | None
 
     def solve(self, station, guess, *unknowns):
-        """Solve for the load on the touchdown and the length off the floor; or for the first alone.
-
-        Then the end alone touches, and its angle is free.
-        """
+        """Solve for load and length off the floor; for the load alone if the end alone touches."""
         tail_lies = len(unknowns) == 2
 
         def slope(x, state, unknowns):
@@ -136,15 +120,14 @@ def steady_strip_drag(
     *,
     holder_angle_rad: float | None = math.pi / 2,
 ) -> SteadyDrag:
-    """Steady drag of a strip with bending rigidity.
+    """Steady drag of a strip of a gravity length (B/w)^(1/3), up to the strip's own.
 
     Above the touchdown the strip is a heavy elastica, B θ'' = T sin θ − (w s − R) cos θ, with θ
-    from the horizontal and s from the touchdown. At the touchdown θ = θ' = 0 (no adhesion), and
-    the floor gives a point load R, because the flat tail carries no shear. Tension there is
-    T = μ (w c + R). The holder clamps the strip at an angle above the horizontal, π/2 straight
-    down, or is a hinge (None; θ' = 0), as a single row of pinned vertices is. If no tail lies flat,
-    the end alone touches: θ' = 0 there, θ ≥ 0 free, T = μ R. Solved by collocation, continued from
-    the flexible strip. The gravity length (B/w)^(1/3) is 0 ... the strip's length.
+    from the horizontal and s from the touchdown. There θ = θ' = 0 (no adhesion), and the floor
+    gives a point load R, because the flat tail carries no shear; tension T = μ (w c + R). The
+    holder clamps the strip at an angle above the horizontal, or is a hinge (None; θ' = 0), as a
+    single row of pinned vertices is. If no tail lies flat, the end alone touches: θ' = 0 there, θ ≥
+    0 free, T = μ R. Solved by collocation, continued from the flexible strip.
     """
     flexible = flexible_strip_drag(friction, length_m, height_m)
     unit = require("gravity_length_m", gravity_length_m, 0.0, length_m)
@@ -197,21 +180,23 @@ def _result(
 def strip_drag(
     settings: SimulationSettings, friction: float, gravity_length_m: float = 0.02
 ) -> dict[str, Any]:
-    """A strip hinged at a holder above the floor, dragged until its shape is steady.
+    """Drag a strip hinged at a holder above the floor until its shape is steady.
 
     It has as many vertices as a side of the simulated cloth; the gravity length is (B/w)^(1/3), of
-    bending rigidity and weight per area. Return ``pull_over_w_m``, ``floor_load_over_w_m``,
-    ``flat_tail_m`` and ``holder_ahead_of_tail_m``, each also as ``theory_...``.
+    bending rigidity and weight per area.
     """
     rows = settings.vertices_per_side
     spacing_m = LENGTH_M / (rows - 1)
     mesh = rectangle(rows, 3, LENGTH_M, 2 * spacing_m)
-    weight_N_m2 = AREAL_DENSITY_KG_M2 * GRAVITY_M_S2
-    start_m = hanging_with_tail(mesh, HOLDER_M)
-    tables = cylindrical_strip_tables(MEMBRANE_STIFFNESS_N_M, weight_N_m2 * gravity_length_m**3)
-    solver = started(settings, mesh, tables, start_m, held(mesh, 1), friction)
+    weight_N_m2 = specimen.AREAL_DENSITY_KG_M2 * GRAVITY_M_S2
+    start_m = specimen.hanging_with_tail(mesh, HOLDER_M)
+    stiffness = specimen.MEMBRANE_STIFFNESS_N_M, weight_N_m2 * gravity_length_m**3
+    tables = specimen.cylindrical_strip_tables(*stiffness)
+    hinge = specimen.held(mesh, 1)
+    solver = specimen.started(settings, mesh, tables, start_m, hinge, friction)
     # Far enough for the longest tail to be drawn out, slow enough for inertia to be nothing.
-    advance_evenly(solver, 20.0, settings.time_step_s, carried(start_m, 0.02, 0.0, 0.0))
+    drag = specimen.carried(start_m, 0.02, 0.0, 0.0)
+    specimen.advance_evenly(solver, 20.0, settings.time_step_s, drag)
     width_m = 2 * spacing_m
     w_N_m = weight_N_m2 * width_m
     normal_N = solver.floor_forces()[:, 2].reshape(rows, 3).sum(axis=1)

@@ -1,8 +1,7 @@
 """Drop-and-drag of a planar cloth in the cloth simulator, tracked as a camera would.
 
-A strip as long as the cloth is hinged to a holder at a height; its tail lies on the floor without
-tension; then the holder moves. Kept cylindrical: the planar protocol (d) of
-docs/criticise-your-data.md.
+A strip as long as the cloth is hinged to a holder at a height, its tail on the floor; then the
+holder moves: the planar protocol (d) of docs/criticise-your-data.md, kept cylindrical.
 """
 
 from dataclasses import dataclass, replace
@@ -12,12 +11,7 @@ import numpy as np
 
 from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.cloth import ClothSolver, Conditions, SolverSettings, rectangle
-from slipstitch.physics.experiments.specimen import (
-    cylindrical_strip_tables,
-    hanging_with_tail,
-    held,
-    started,
-)
+from slipstitch.physics.experiments import specimen
 from slipstitch.physics.friction_law import FrictionLaw
 from slipstitch.physics.friction_law.mechanisms import REFERENCE_HUMIDITY_PCT
 
@@ -44,7 +38,6 @@ class Sheet:
 class DragRun:
     """One run: height of the holder, speed, and what a friction law may ask for.
 
-    ``tilt_downhill_rad`` is the slope of the floor along the motion, positive downhill;
     ``orientation_rad`` is from the warp to the direction of sliding.
     """
 
@@ -55,15 +48,12 @@ class DragRun:
     dwell_s: float = 0.0
     repeats: float = 0.0
     relative_humidity_pct: float = REFERENCE_HUMIDITY_PCT
-    tilt_downhill_rad: float = 0.0
+    tilt_downhill_rad: float = 0.0  # of the floor along the motion
 
 
 @dataclass(frozen=True)
 class TrackedShape:
-    """Observations of a camera, frame by frame (metres, seconds).
-
-    ``edge_m`` is the advance of the trailing edge, ``contact_m`` the length that lies on the floor.
-    """
+    """Advance of the trailing edge, and length on the floor, frame by frame (metres, seconds)."""
 
     time_s: np.ndarray
     stage_m: np.ndarray
@@ -78,12 +68,9 @@ def drag_tracked(
     rows: int = 161,
     step_s: float = 0.04,
     frame_rate_hz: float = 2.4,
-    settings: SolverSettings | None = None,
 ) -> TrackedShape:
     """Simulate the forward stroke of one run, with a number of vertices along the cloth."""
-    solver, start_m = _laid_down(
-        law, sheet, run, rows, settings or SolverSettings(penetration_m=PENETRATION_M)
-    )
+    solver, start_m = _laid_down(law, sheet, run, rows)
     ramp_s = run.speed_m_s / ACCELERATION_M_S2
 
     def stage_m(time_s: float) -> float:
@@ -108,19 +95,21 @@ def drag_tracked(
 
 
 def _laid_down(
-    law: FrictionLaw, sheet: Sheet, run: DragRun, rows: int, settings: SolverSettings
+    law: FrictionLaw, sheet: Sheet, run: DragRun, rows: int
 ) -> tuple[ClothSolver, np.ndarray]:
     """The cloth hung up, its tail on the floor without tension, and rested; where it lies."""
+    settings = SolverSettings(penetration_m=PENETRATION_M)
     width_m = 2 * sheet.length_m / (rows - 1)
     mesh = rectangle(rows, 3, sheet.length_m, width_m)
     tables = replace(
-        cylindrical_strip_tables(MEMBRANE_STIFFNESS_N_M, sheet.bending_Nm),
+        specimen.cylindrical_strip_tables(MEMBRANE_STIFFNESS_N_M, sheet.bending_Nm),
         areal_density_kg_m2=sheet.areal_density_kg_m2,
     )
-    fixed = held(mesh, 1)
+    fixed = specimen.held(mesh, 1)
     along = sin(run.tilt_downhill_rad)
     # Without friction, on level ground: the tail comes to lie without tension.
-    level = started(settings, mesh, tables, hanging_with_tail(mesh, run.height_m), fixed)
+    hung_m = specimen.hanging_with_tail(mesh, run.height_m)
+    level = specimen.started(settings, mesh, tables, hung_m, fixed)
     for _ in range(RELAXING_STEPS):
         level.advance(RELAXING_STEP_S)
     start_m = level.positions_m
@@ -133,7 +122,7 @@ def _laid_down(
         relative_humidity_pct=run.relative_humidity_pct,
         repeats=run.repeats,
     )
-    solver = started(settings, mesh, tables, start_m, fixed, law, conditions)
+    solver = specimen.started(settings, mesh, tables, start_m, fixed, law, conditions)
     solver.floor.rest(run.dwell_s)
     return solver, start_m
 

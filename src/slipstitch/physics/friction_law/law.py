@@ -68,10 +68,7 @@ class Curve:
         return np.exp(np.where(np.isnan(searched), 0.0, found))
 
     def values(self) -> list[float]:
-        """Number of the quantity from 1, knots as they are searched, logarithms of the factors.
-
-        Filled to the same length by repeating the last knot.
-        """
+        """Number of the quantity from 1, knots as searched, and logarithms, filled by the last."""
         missing = MOST_KNOTS - len(self.knots)
         knots = self._searched(np.array(self.knots))
         logs = np.log(self.factors)
@@ -81,11 +78,7 @@ class Curve:
 
 @dataclass(frozen=True)
 class FrictionLaw:
-    """Largest friction force of a contact.
-
-    ``F = N mu (product of factors) + (sum of added forces)``; with no mechanism and no curve,
-    Coulomb's law.
-    """
+    """Largest friction force of a contact: N mu (product of factors) + (sum of added forces)."""
 
     coefficient: float  # mu of the null law
     # Identifier -> parameter values by name.

@@ -28,10 +28,9 @@ Formula = Callable[..., float | np.ndarray]
 
 @dataclass(frozen=True)
 class Contact:
-    """State of one contact or an array of contacts.
+    """State of one contact or an array of contacts; all fields broadcast together.
 
-    Every field is a number or an array; all broadcast together. A NaN means *not recorded*: a
-    mechanism that needs it then leaves the friction as it is.
+    A NaN means *not recorded*: a mechanism that needs it then leaves the friction as it is.
     """
 
     normal_force_N: ArrayLike  # forces per width with areas per width do as well
@@ -125,8 +124,7 @@ class Mechanism:
 class ContactMechanism(Mechanism):
     """A mechanism of the contact: it scales the friction force, or adds to it.
 
-    A formula is a plain function whose arguments are named after the mechanism's parameters and
-    after quantities of :class:`Contact`.
+    The arguments of a formula are named after parameters and quantities of :class:`Contact`.
     """
 
     _: KW_ONLY

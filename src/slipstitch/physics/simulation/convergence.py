@@ -75,21 +75,18 @@ def measured_convergence(
 ) -> dict[str, Any] | None:
     """What is known of a run's fabric, at its coefficient or those on either side.
 
-    That is ``table_sha256`` of the summary, ``studied``, ``differ`` (settings for which it does not
-    speak), ``cases`` (see `study.summary`), ``verdict`` (the worse of them, or None) and ``note``.
+    ``differ`` are settings for which the study does not speak, ``verdict`` is the worse of the
+    cases (see `study.summary`), or None.
     """
     study = read_study(measured)
     if study is None:
         return None
     differ = studied_settings_that_differ(study["studied"], settings)
-    own = [case for case in study["cases"] if case["material"] == material]
-    below = [case for case in own if case["friction"] <= friction + 1e-9]
-    above = [case for case in own if case["friction"] >= friction - 1e-9]
-    cases = []
-    if below and above:
-        cases = [max(below, key=lambda case: case["friction"])]
-        cases += [min(above, key=lambda case: case["friction"])]
-        cases = cases[: 1 if cases[0] is cases[1] else 2]
+    own = {case["friction"]: case for case in study["cases"] if case["material"] == material}
+    below = max((mu for mu in own if mu <= friction + 1e-9), default=None)
+    above = min((mu for mu in own if mu >= friction - 1e-9), default=None)
+    both = [] if None in (below, above) else dict.fromkeys((below, above))
+    cases = [own[mu] for mu in both]
     verdict = None
     if cases and not differ:
         known = [case["verdict"] for case in cases if case["verdict"] is not None]

@@ -107,8 +107,8 @@ class Landing:
     """Check of the steps while the cloth lands: does it buckle to the side of finer steps?
 
     A step may have a solution on either side, and one that is nearly too long takes the wrong one
-    without its error telling. So every step of the landing is repeated in two halves by a second
-    solver of the same cloth, and must go the same way. No long step is taken then.
+    without its error telling. So a second solver repeats every step of the landing in two halves,
+    and must go the same way. No long step is taken then.
     """
 
     def __init__(
@@ -245,10 +245,7 @@ class _Bench:
         return trajectory, {"newton_iterations": iterations, "residual": residuals}
 
     def _march(self, first: int, last: int) -> Iterator[tuple[int, int, np.ndarray]]:
-        """Advance by time steps, several at once where it is steady.
-
-        Yield their numbers before and after, and the positions (V, 3) before.
-        """
+        """Advance by time steps, several at once where steady; yield numbers, positions before."""
         solver, step_s = self.solver, self.settings.step_used_s
         at_once = self.settings.steps_at_once
         while first < last:

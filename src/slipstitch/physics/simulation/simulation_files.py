@@ -7,7 +7,7 @@ refused; what no file claims to be is simulated.
 
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -34,7 +34,10 @@ from slipstitch.physics.simulation.trajectory import Trajectory, read_with_colum
 
 CHECKSUMS = "SHA256SUMS"
 SIMULATIONS = "simulations"  # where a release has them
-_OF_THE_RUN = ("material", "friction", "seed")
+
+
+def _of_the_run(run: DropAndDrag) -> dict[str, Any]:
+    return {name: getattr(run, name) for name in ("material", "friction", "seed")}
 
 
 def run_of_the_grid(config: Config, name: str) -> tuple[DropAndDrag, dict[str, str]]:
@@ -58,8 +61,7 @@ def simulate_to_file(
     """Simulate a run, or take it from those handed out; write it, or the state that is unsolved.
 
     Ids are what `run_of_the_grid` says, or empty; device and folder go before the configured ones.
-    Return the run and its record, which names the calibration that settings were taken from, and
-    under ``handed_out`` where the run was taken from, if it was.
+    Return the run and its record, which names the calibration, and under ``handed_out`` the origin.
     """
     started = provenance.start_clock()
     settings = config.simulation
@@ -103,17 +105,14 @@ def take_handed_out(
 ) -> tuple[Trajectory, dict[str, np.ndarray], dict[str, Any]] | None:
     """Read a run from a folder of simulations or from a release; None if no file claims to be it.
 
-    BadInput if two files do, or the one that does is damaged or of other settings. Return the run,
-    its columns, and its origin for the record: ``file``, ``sha256`` and ``provenance``.
+    BadInput if two files do, or the one is damaged or of other settings. Return the run, its
+    columns, and its origin for the record.
     """
+    asked = {"simulation": ids["simulation"]} if ids else _of_the_run(run)
     claims = [
         path
         for path, metadata in _simulations(Path(folder))
-        if (
-            metadata.get("simulation") == ids["simulation"]
-            if ids
-            else all(metadata.get(name) == getattr(run, name) for name in _OF_THE_RUN)
-        )
+        if all(metadata.get(name) == value for name, value in asked.items())
     ]
     if not claims:
         return None
@@ -173,8 +172,7 @@ def _differences(
 ) -> Iterator[str]:
     """What a simulation was made with other than a run is to be made with, in words."""
     its = trajectory.metadata
-    own: Mapping[str, Any] = {name: getattr(run, name) for name in _OF_THE_RUN}
-    for name, value in own.items():
+    for name, value in _of_the_run(run).items():
         if its.get(name) != value:
             yield f"{name} {its.get(name)}, not {value}"
     own, theirs = settings.model_dump(mode="json"), its.get("settings") or {}

@@ -96,10 +96,7 @@ def write_trajectory(
     record: dict | None = None,
     **columns: np.ndarray,
 ) -> None:
-    """Write a trajectory as Parquet, atomically, with its provenance and further columns (T,).
-
-    Positions are rounded to a micrometre; ValueError if one is not finite or out of range.
-    """
+    """Write a trajectory as Parquet, atomically, to a micrometre, with record and columns (T,)."""
     arrays = {name: pa.array(getattr(trajectory, name), kind) for name, kind in _SCALARS.items()}
     arrays |= {name: pa.array(values) for name, values in columns.items()}
     differences = encode(trajectory.positions_m)
@@ -182,7 +179,6 @@ def read_with_columns(path: str | os.PathLike) -> tuple[Trajectory, dict[str, np
 
 
 def _mesh_of(path: str | os.PathLike, metadata: dict, vertices: int) -> dict:
-    """The mesh in the metadata, or of ``mesh.json`` beside the file."""
     packed = metadata.pop("mesh", None)
     if packed is not None:
         return _unpacked_mesh(packed, vertices)
