@@ -60,13 +60,9 @@ def sides_of_simulations(config: Config) -> dict[str, str]:
         for simulation in grid
         if simulation.id not in apart
     }
-    sides = split_by_simulation(
-        triples.values(),
-        config.sample.validation_fraction,
-        config.sample.test_fraction,
-        seed=config.seed,
-        hold_out=config.sample.hold_out,
-    )
+    sample = config.sample
+    shares = sample.validation_fraction, sample.test_fraction
+    sides = split_by_simulation(triples.values(), *shares, config.seed, sample.hold_out)
     return {
         simulation.id: apart.get(simulation.id) or sides[triples[simulation.id]]
         for simulation in grid

@@ -84,13 +84,8 @@ class Camera:
 def pose(viewpoint: Viewpoint) -> Pose:
     """Pose of the fixed camera of a viewpoint in the catalogue."""
     azimuth, elevation = map(math.radians, (viewpoint.azimuth_deg, viewpoint.elevation_deg))
-    backwards = np.array(
-        [
-            math.cos(azimuth) * math.cos(elevation),
-            -math.sin(azimuth) * math.cos(elevation),
-            math.sin(elevation),
-        ]
-    )
+    flat = math.cos(elevation)
+    backwards = np.array([math.cos(azimuth) * flat, -math.sin(azimuth) * flat, math.sin(elevation)])
     position = np.array(AIM_M) + viewpoint.distance_m * backwards
     forward = -backwards
     right = np.cross(forward, [0.0, 0.0, 1.0])
@@ -101,15 +96,9 @@ def pose(viewpoint: Viewpoint) -> Pose:
 
 def turned(rotation: np.ndarray, translation_m: np.ndarray, turn_deg: float) -> Pose:
     """A camera's pose after walking round `AIM_M`, by how much its azimuth grows."""
-    turn = math.radians(turn_deg)
+    c, s = math.cos(math.radians(turn_deg)), math.sin(math.radians(turn_deg))
     # The camera walks clockwise seen from above; the world, as it sees it, turns the other way.
-    about = np.array(
-        [
-            [math.cos(turn), -math.sin(turn), 0.0],
-            [math.sin(turn), math.cos(turn), 0.0],
-            [0.0, 0.0, 1.0],
-        ]
-    )
+    about = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
     aim = np.array(AIM_M)
     return rotation @ about, rotation @ (aim - about @ aim) + translation_m
 
@@ -127,9 +116,7 @@ def relative_pose(camera: Pose, viewpoint: Pose) -> dict[str, float]:
     }
 
 
-def _spherical(
-    rotation: np.ndarray, translation_m: np.ndarray
-) -> tuple[float, float, float, float]:
+def _spherical(rotation: np.ndarray, translation_m: np.ndarray) -> tuple[float, ...]:
     """Azimuth, elevation (degrees), distance (m) about `AIM_M`, and tilt of the image (degrees)."""
     x, y, z = -rotation.T @ translation_m - np.array(AIM_M)
     up = rotation @ [0.0, 0.0, 1.0]

@@ -26,14 +26,8 @@ _MOST_RAYS = 8
 LAG = 0.7
 #: Height above the floor in units of the clamps', and lag in units of that reach: means over steady
 #: strokes of the paper's grid, friction coefficients 0.3 to 1.5. The rest lies on the floor.
-PROFILE = (
-    (1.0, 0.0),
-    (0.7, 0.03),
-    (0.4, 0.12),
-    (0.2, 0.19),
-    (0.1, 0.26),
-    (0.03, 0.36),
-    (0.0, 0.46),
+PROFILE = np.array(
+    [(1.0, 0.7, 0.4, 0.2, 0.1, 0.03, 0.0), (0.0, 0.03, 0.12, 0.19, 0.26, 0.36, 0.46)]
 )
 
 
@@ -61,10 +55,9 @@ class MeanCloth:
 
     def seen(self, eye: np.ndarray, rays: np.ndarray) -> np.ndarray:
         """The first points (N, 3) on rays (N, 3) from an eye (3,); NaN where there is none."""
-        height, lag = np.array(PROFILE).T
-        corners = np.column_stack(
-            [self.stage_x_m + lag * self.lag_m / LAG, height * self.stage_z_m]
-        )
+        height, lag = PROFILE
+        places_m = self.stage_x_m + lag * self.lag_m / LAG
+        corners = np.column_stack([places_m, height * self.stage_z_m])
         depth = np.full(len(rays), np.inf)
         for number, (upper, lower) in enumerate(pairwise(corners)):
             along = upper - lower

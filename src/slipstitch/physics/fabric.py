@@ -7,7 +7,7 @@ curvature.
 
 import hashlib
 import json
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
@@ -38,12 +38,8 @@ class Fabric:
 
     def scaled(self, density: float, stretching: float, bending: float) -> "Fabric":
         """Return the fabric with its three groups of parameters multiplied by factors."""
-        return replace(
-            self,
-            areal_density_kg_m2=self.areal_density_kg_m2 * density,
-            stretching_N_m=self.stretching_N_m * stretching,
-            bending_N_m=self.bending_N_m * bending,
-        )
+        scaled = self.stretching_N_m * stretching, self.bending_N_m * bending
+        return Fabric(self.name, self.areal_density_kg_m2 * density, *scaled)
 
 
 def read_fabric_file(path: str | Path) -> dict[str, Fabric]:

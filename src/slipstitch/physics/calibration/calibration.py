@@ -287,9 +287,6 @@ def calibrate_to_file(
 def _known_convergence(simulation: SimulationSettings) -> dict[str, Any]:
     """What the convergence study says at the chosen settings, and the digest of its table."""
     study = convergence.read_study()
-    if study is None:
-        note("convergence: no study came with the package")
-        return {"convergence": None}
     differ = convergence.studied_settings_that_differ(study["studied"], simulation)
     found = [
         {key: case[key] for key in ("material", "friction")}

@@ -39,9 +39,8 @@ def rectangle(rows: int, columns: int, length_m: float, width_m: float) -> Cloth
         raise BadInput(f"mesh of {rows} x {columns} vertices: must be at least 2 x 2")
     if not (length_m > 0 and width_m > 0):
         raise BadInput(f"cloth of {length_m} m x {width_m} m: both must be positive")
-    v, u = np.meshgrid(
-        np.linspace(0, length_m, rows), np.linspace(0, width_m, columns), indexing="ij"
-    )
+    down_m, across_m = np.linspace(0, length_m, rows), np.linspace(0, width_m, columns)
+    v, u = np.meshgrid(down_m, across_m, indexing="ij")
     number = np.arange(rows * columns, dtype=np.int32).reshape(rows, columns)
     a, b, c, d = number[:-1, :-1], number[:-1, 1:], number[1:, :-1], number[1:, 1:]
     even = np.add.outer(np.arange(rows - 1), np.arange(columns - 1))[..., None] % 2 == 0
@@ -49,13 +48,8 @@ def rectangle(rows: int, columns: int, length_m: float, width_m: float) -> Cloth
     faces = np.where(even, falling, rising).reshape(-1, 3)
     order: list[int] = []
     _dissect(number, order)
-    return ClothMesh(
-        np.stack([u.ravel(), v.ravel()], axis=1),
-        faces,
-        _hinges(faces),
-        np.array(order, dtype=np.int32),
-        (rows, columns),
-    )
+    rest_uv_m, elimination = np.stack([u.ravel(), v.ravel()], 1), np.array(order, dtype=np.int32)
+    return ClothMesh(rest_uv_m, faces, _hinges(faces), elimination, (rows, columns))
 
 
 def _hinges(faces: np.ndarray) -> np.ndarray:

@@ -43,16 +43,11 @@ def cases(config: Config) -> list[StudyCase]:
     sides = study.vertices_per_side
     refinements = [(sides[0], 0), (sides[0], HALVINGS), *((side, 0) for side in sides[1:])]
     return [
-        StudyCase(
-            f"{material_id(material)}_{friction_id(friction)}_n{side}_h{halvings}",
-            material,
-            friction,
-            side,
-            halvings,
-        )
+        StudyCase(f"{name}_{friction_id(mu)}_n{side}_h{halvings}", material, mu, side, halvings)
         for side, halvings in refinements
         for material in study.materials
-        for friction in study.frictions
+        for name in [material_id(material)]
+        for mu in study.frictions
     ]
 
 

@@ -63,15 +63,8 @@ def _integrate(curvature: float, vertical: float, horizontal: float, stations=No
         sine, cosine = math.sin(angle), math.cos(angle)
         return (state[1], -(vertical * sine + horizontal * cosine), sine, cosine)
 
-    return solve_ivp(
-        slope,
-        (0.0, 1.0),
-        (0.0, curvature, 0.0, 0.0),
-        method="DOP853",
-        t_eval=stations,
-        rtol=1e-11,
-        atol=1e-13,
-    )
+    start = (0.0, curvature, 0.0, 0.0)
+    return solve_ivp(slope, (0.0, 1.0), start, "DOP853", stations, rtol=1e-11, atol=1e-13)
 
 
 def _solve(foot_angle: float, guess) -> np.ndarray:

@@ -58,10 +58,8 @@ def studied_settings_that_differ(
     return differ
 
 
-def read_study(measured: Path = MEASURED) -> dict[str, Any] | None:
-    """The summary of the study that came with the package, or None."""
-    if not measured.is_file():
-        return None
+def read_study(measured: Path = MEASURED) -> dict[str, Any]:
+    """The summary of the study that comes with the package."""
     return json.loads(measured.read_text(encoding="utf-8"))
 
 
@@ -72,15 +70,13 @@ def study_digest(measured: Path = MEASURED) -> str | None:
 
 def measured_convergence(
     material: str, friction: float, settings: SimulationSettings, measured: Path = MEASURED
-) -> dict[str, Any] | None:
+) -> dict[str, Any]:
     """What is known of a run's fabric, at its coefficient or those on either side.
 
     ``differ`` are settings for which the study does not speak, ``verdict`` is the worse of the
     cases (see `study.summary`), or None.
     """
     study = read_study(measured)
-    if study is None:
-        return None
     differ = studied_settings_that_differ(study["studied"], settings)
     own = {case["friction"]: case for case in study["cases"] if case["material"] == material}
     below = max((mu for mu in own if mu <= friction + 1e-9), default=None)
