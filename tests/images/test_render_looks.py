@@ -79,25 +79,21 @@ def test_a_camera_of_another_bench_has_looks_of_its_own_in_every_simulation():
     assert one[0] == draw_surroundings(other_place, 3, "m00_f0100_r00", "v00")
 
 
-def test_a_stop_doubles_the_light_and_a_cast_scales_red_and_blue():
+def test_a_camera_scales_the_light_adds_the_noise_of_counted_photons_and_compresses():
     np.testing.assert_allclose(CameraEffects(exposure_stops=1.0).light(LIGHT), 2 * LIGHT)
     seen = CameraEffects(red=1.1, blue=0.8).light(LIGHT)
     np.testing.assert_allclose(seen / LIGHT, np.broadcast_to([1.1, 1, 0.8], LIGHT.shape))
-
-
-def test_noise_has_the_variance_of_counted_photons():
-    camera = CameraEffects(noise=0.02)
     for level in (0.05, 0.3, 0.6):
-        image = camera.photograph(np.full((200, 200, 3), level), rng()) / 255
+        even = np.full((200, 200, 3), level)
+        image = CameraEffects(noise=0.02).photograph(even, rng()) / 255
         linear = np.where(image <= 0.04045, image / 12.92, ((image + 0.055) / 1.055) ** 2.4)
         assert linear.std() == pytest.approx(0.02 * np.sqrt(level + 0.01), rel=0.06)
         assert linear.mean() == pytest.approx(level, rel=0.01)
-
-
-def test_compression_costs_detail_and_little_else():
     image = encode_srgb(LIGHT).astype(int)
-    rough = CameraEffects(jpeg_quality=30).photograph(LIGHT, rng()).astype(int)
-    fine = CameraEffects(jpeg_quality=95).photograph(LIGHT, rng()).astype(int)
+    rough, fine = (
+        CameraEffects(jpeg_quality=quality).photograph(LIGHT, rng()).astype(int)
+        for quality in (30, 95)
+    )
     assert np.abs(rough - image).mean() > np.abs(fine - image).mean() > 0
     assert np.abs(rough.mean((0, 1)) - image.mean((0, 1))).max() < 3
 

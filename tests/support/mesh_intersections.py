@@ -15,13 +15,7 @@ SURELY_BESIDE_M = 2e-6
 
 
 def crossing_pairs(positions_m: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Edges that go through triangles.
-
-    Returns
-    -------
-    ndarray, shape (N, 3)
-        Edge's ends and the triangle's number.
-    """
+    """Edges that go through triangles, (N, 3): the edge's ends and the triangle's number."""
     x = np.asarray(positions_m, dtype=float)
     edges = np.unique(np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
     corners = x[faces]

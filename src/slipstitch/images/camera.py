@@ -121,12 +121,9 @@ def _spherical(rotation: np.ndarray, translation_m: np.ndarray) -> tuple[float, 
     x, y, z = -rotation.T @ translation_m - np.array(AIM_M)
     up = rotation @ [0.0, 0.0, 1.0]
     distance = math.sqrt(x * x + y * y + z * z)
-    return (
-        math.degrees(math.atan2(-y, x)),
-        math.degrees(math.asin(z / distance)),
-        distance,
-        math.degrees(math.atan2(up[0], -up[1])),
-    )
+    azimuth, elevation = math.atan2(-y, x), math.asin(z / distance)
+    roll = math.degrees(math.atan2(up[0], -up[1]))
+    return math.degrees(azimuth), math.degrees(elevation), distance, roll
 
 
 #: Texture coordinates of the keypoints: three rows below the clamps, three points each.

@@ -15,7 +15,7 @@ import numpy as np
 import warp as wp
 
 from slipstitch.images.encoding import encode_srgb
-from slipstitch.images.reflection import GGX, MirroredSight, blur_weights, blurred
+from slipstitch.images.reflection import GGX, MARGIN, MirroredSight, blur_weights, blurred
 from slipstitch.images.shading import LIGHT_OVERSAMPLING, Shading, Sight
 from slipstitch.images.textures import KEPT, TEXELS, texture
 from slipstitch.images.visibility import warp_array
@@ -37,7 +37,6 @@ class MirroredRays:
     weights: np.ndarray  # (L, pixels, pixels) float32: of the blur
     squeeze: float
     count: np.ndarray  # (pixels, pixels) float32: number of rays, blurred
-    margin: int
 
 
 @dataclass(frozen=True)
@@ -65,15 +64,9 @@ def join(shading: Shading, sight: Sight) -> Layers:
     pixel = (y // rays) * pixels + x // rays
     order = np.argsort(pixel, kind="stable")
     mirrored = None if shading.mirrored is None else shading.mirrored.reshape(2, -1)
-    return Layers(
-        pixels,
-        shading.still.reshape(3, -1),
-        pixel[order],
-        sight.cloth.uv[order],
-        light[:, order],
-        mirrored,
-        None if sight.mirrored is None else _mirrored_rays(sight.mirrored),
-    )
+    reflected = None if sight.mirrored is None else _mirrored_rays(sight.mirrored)
+    rays_seen = pixel[order], sight.cloth.uv[order], light[:, order]
+    return Layers(pixels, shading.still.reshape(3, -1), *rays_seen, mirrored, reflected)
 
 
 def _texture_blur(rays: int) -> float:
@@ -163,7 +156,7 @@ def _mirrored_rays(sight: MirroredSight) -> MirroredRays:
     count = np.diff(starts).reshape(side, side, 1).astype(np.float32)
     count = blurred(count, weights, sight.squeeze)
     uv = sight.uv[lit[order]]
-    return MirroredRays(uv, starts, weights, sight.squeeze, count, sight.margin)
+    return MirroredRays(uv, starts, weights, sight.squeeze, count)
 
 
 def _mirrored_albedo(rays: MirroredRays, texel: wp.array, texels: np.ndarray) -> np.ndarray:
@@ -172,7 +165,7 @@ def _mirrored_albedo(rays: MirroredRays, texel: wp.array, texels: np.ndarray) ->
     inputs = [warp_array(rays.starts, wp.int32), texel, warp_array(texels, wp.vec3)]
     flat = warp_array(image.reshape(-1, 3), wp.vec3)
     wp.launch(_add_albedos, dim=len(rays.starts) - 1, inputs=[*inputs, flat], device="cpu")
-    inside = np.s_[rays.margin : -rays.margin,] * 2
+    inside = np.s_[MARGIN:-MARGIN,] * 2
     image, count = blurred(image, rays.weights, rays.squeeze)[inside], rays.count[inside]
     mean = image.sum(axis=(0, 1)) / max(float(count.sum()), 1e-6)
     return np.where(count > 1e-2, image / np.maximum(count, 1e-2), mean)

@@ -72,12 +72,9 @@ def render_shadings(
     scene = ClothScene(trajectory.faces, trajectory.uv, surroundings)
     samples = settings.samples * (_SAMPLES_MIRRORED if surroundings.reflects else 1)
     for shot in wanted:
-        rendering = scene.render(
-            trajectory.positions_m[shot.row],
-            shot.camera.at_resolution(shot.camera.pixels * LIGHT_OVERSAMPLING),
-            samples=samples,
-            seed=shot.frame,
-        )
+        camera = shot.camera.at_resolution(shot.camera.pixels * LIGHT_OVERSAMPLING)
+        positions = trajectory.positions_m[shot.row]
+        rendering = scene.render(positions, camera, samples=samples, seed=shot.frame)
         sight = _sight(trajectory, shot, surroundings)
         yield shot, separated_light(*rendering, sight), sight
 

@@ -125,7 +125,7 @@ GGX = tuple(
 )
 FLOOR_Z_M = float(FLOOR_M[0, 2])
 # Mirrored cloth is looked for this many pixels beyond the image too: it blurs into it.
-_MARGIN = 8
+MARGIN = 8
 # Cloth lies on the floor if it is no further away.
 _LYING_M = 1e-3
 # How much of the texture's blur the mirrored light, which is smoother, may be smoothed.
@@ -140,8 +140,7 @@ _GUIDED_EDGE = 1e-3
 class MirroredSight:
     """The reflection in the floor, in the image and a margin around it."""
 
-    camera: Camera  # of the image without margin
-    margin: int  # pixels on every side
+    camera: Camera  # of the image without its `MARGIN`
     rays: int  # along each side of a pixel
     # (N,) int: flat numbers of the rays that meet mirrored cloth on floor that they see, rising
     seen: np.ndarray
@@ -167,11 +166,11 @@ def mirrored_sight(
 
     `cloth` is what the image's rays, `rays` along each side of a pixel, see of the cloth itself.
     """
-    wide = camera.with_margin(_MARGIN)
+    wide = camera.with_margin(MARGIN)
     fine = wide.at_resolution(wide.pixels * rays)
     bare = sees_quad(FLOOR_M, fine, rays)
     y, x = np.divmod(cloth.seen, camera.pixels * rays)
-    bare[y + _MARGIN * rays, x + _MARGIN * rays] = False
+    bare[y + MARGIN * rays, x + MARGIN * rays] = False
     below = positions_m.copy()
     below[:, 2] = 2 * FLOOR_Z_M - below[:, 2]
     found = visible_cloth(below, faces, vertex_uv, fine, rays)
@@ -187,18 +186,11 @@ def mirrored_sight(
     steepness = np.abs(up) / np.sqrt(1 + right**2 + down**2)
     width = 2 * surroundings.roughness**2 * camera.matrix[1, 1] * behind
     pixel = (y // rays) * wide.pixels + x // rays
-    return MirroredSight(
-        camera,
-        _MARGIN,
-        rays,
-        seen,
-        found.uv[keep],
-        np.abs(up) * (depth - floor_depth) < _LYING_M,
-        bare,
-        _carried_on(pixel, width, wide.pixels),
-        float(steepness.mean()) if len(seen) else 1.0,
-        surroundings,
-    )
+    lying = np.abs(up) * (depth - floor_depth) < _LYING_M
+    blur = _carried_on(pixel, width, wide.pixels)
+    squeeze = float(steepness.mean()) if len(seen) else 1.0
+    seen_uv = seen, found.uv[keep]
+    return MirroredSight(camera, rays, *seen_uv, lying, bare, blur, squeeze, surroundings)
 
 
 def _carried_on(pixel: np.ndarray, values: np.ndarray, side: int) -> np.ndarray:
@@ -223,7 +215,7 @@ class MirrorShares:
 
 def mirror_shares(sight: MirroredSight, cells: int) -> MirrorShares:
     """The reflected scene, in this many cells along each side of an image pixel."""
-    step, side = sight.rays // cells, (sight.camera.pixels + 2 * sight.margin) * cells
+    step, side = sight.rays // cells, (sight.camera.pixels + 2 * MARGIN) * cells
     y, x = np.divmod(sight.seen, side * step)
     cell = (y // step) * side + x // step
     hits = [np.bincount(hit, minlength=side**2) for hit in (cell, cell[~sight.lying])]
@@ -232,7 +224,7 @@ def mirror_shares(sight: MirroredSight, cells: int) -> MirrorShares:
     shares = np.stack([*np.reshape(hits, (2, side, side)) / step**2, of_floor], axis=-1)
     shares = shares.astype(np.float32)
     shares = blurred(shares, blur_weights(width, GGX), sight.squeeze)
-    inside = np.s_[sight.margin * cells : -sight.margin * cells,] * 2
+    inside = np.s_[MARGIN * cells : -MARGIN * cells,] * 2
     shares = shares[inside]
     cloth, lit = np.moveaxis(shares[..., :2] / np.maximum(shares[..., 2:], 1e-3), -1, 0)
     return MirrorShares(cloth, lit, width[inside])

@@ -1,22 +1,16 @@
 """The light of one frame, separated by the number of bounces on the cloth, and visibility.
 
-Lamps, floor and background are grey and the cloth is Lambertian, so the light that reaches a
-pixel is a power series in the cloth's albedo a: with a uniform cloth,
+Lamps, floor and background are grey and the cloth is Lambertian, so the light that reaches a pixel
+is a power series in the albedo a of a uniform cloth, L(a) = scene + a first + a^2 second + ...,
+where `scene` never touched the cloth, `first` touched it once, `second` twice (light between folds,
+or from cloth to floor to cloth). One render with the albedos 0.8, 0 and 0.4 in its three channels
+gives three equations a pixel: scene = G, first = (4 (B - G) - (R - G)) / 0.8, second = ((R - G) - 2
+(B - G)) / 0.32, with higher orders folded in so that L is exact at a = 0.4 and a = 0.8. All three
+channels follow the same paths, so the solution holds path by path and adds no noise.
 
-    L(a) = scene + a first + a^2 second + ...
-
-where `scene` never touched the cloth, `first` touched it once (the lit cloth, or its light on the
-floor), `second` twice (light between folds, or from cloth to floor to cloth). One render with the
-albedos 0.8, 0 and 0.4 in its three channels gives three equations a pixel:
-
-    scene = G,   first = (4 (B - G) - (R - G)) / 0.8,   second = ((R - G) - 2 (B - G)) / 0.32
-
-with orders above the second folded into these two so that L is exact at a = 0.4 and a = 0.8. All
-three channels follow the same paths, so the solution holds path by path and adds no noise.
-
-Light varies slowly over a surface, textures and outlines do not. So light comes from a few paths
-a pixel, at twice the resolution and smoothed along the surface; what is seen where comes from 16
-rays per pixel, 64 in small images (`slipstitch.images.visibility`). `slipstitch.images.composition`
+Light varies slowly over a surface, textures and outlines do not. So light comes from a few paths a
+pixel, at twice the resolution and smoothed along the surface; what is seen where comes from 16 rays
+per pixel, 64 in small images (`slipstitch.images.visibility`). `slipstitch.images.composition`
 joins the two and puts textures on.
 """
 

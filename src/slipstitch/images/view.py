@@ -85,16 +85,10 @@ class View:
     ) -> "View":
         """The view with id and name of a viewpoint, of any: in all textures then."""
         key = (Path(trajectory_path).stem, viewpoint_id)
-        return cls(
-            trajectory_path,
-            viewpoint_id,
-            viewpoint,
-            config.render,
-            config.sample.frames_kept,
-            config.seed,
-            interpolations(config).get(key),
-            grid.films(config).get(key) or grid.texture_ids(config.render),
-        )
+        made = config.render, config.sample.frames_kept, config.seed
+        shown = interpolations(config).get(key)
+        textures = grid.films(config).get(key) or grid.texture_ids(config.render)
+        return cls(trajectory_path, viewpoint_id, viewpoint, *made, shown, textures)
 
     @property
     def simulation(self) -> str:

@@ -62,15 +62,10 @@ def visible_cloth(
     image = (local @ camera.matrix.T)[:, :2] * nearness[:, None]
     nearest = np.zeros((side, side))
     place = np.empty((side, side, 2))
-    inputs = [
-        warp_array(image, wp.vec2d),
-        warp_array(nearness, wp.float64),
-        warp_array(uv, wp.vec2d),
-        warp_array(faces, wp.vec3i),
-        warp_array(_SHUFFLE[tile], wp.int32),
-        warp_array(nearest, wp.float64),
-        warp_array(place, wp.vec2d),
-    ]
+    shuffle = _SHUFFLE[tile]
+    kinds = [wp.vec2d, wp.float64, wp.vec2d, wp.vec3i, wp.int32, wp.float64, wp.vec2d]
+    arrays = [image, nearness, uv, faces, shuffle, nearest, place]
+    inputs = [*map(warp_array, arrays, kinds)]
     wp.launch(_draw_triangle, dim=len(faces), inputs=inputs, device="cpu")
     seen = np.flatnonzero(nearest)
     return Visibility(seen, place.reshape(-1, 2)[seen], 1 / nearest.ravel()[seen])

@@ -1,16 +1,13 @@
 """Inertia, gravity, and contact with the ground under dry friction (Warp kernels).
 
-The ground is the floor z = 0, or a cylinder about a line along y whose crest is that floor's
-line x = 0 (for the capstan): contact is worked out in coordinates along, across and above it.
+The ground is the floor z = 0, or a cylinder about a line along y whose crest is that floor's line x
+= 0 (for the capstan): contact is worked out in coordinates along, across and above it.
 
 Normal contact is a stiff penalty, a pressure that grows with depth (a micrometre or less under the
-cloth's weight).
-Friction is exact, by :mod:`return mapping <cloth.friction>`: a node in contact
-hangs on an anchor; while |Q| is below the friction law's limit the anchor does not move (no creep,
-microslip of about a micrometre that is elastic and returns). Both springs are as stiff as a node's
-area is large: cloth that lies evenly sinks in evenly, and all of it reaches the limit together.
-
-The limit is mu P (Amontons and Coulomb) or that of an extended law.
+cloth's weight). Friction is exact, by :mod:`return mapping <cloth.friction>`: a node in contact
+hangs on an anchor that does not move while |Q| is below the law's limit, mu P or an extended law's
+(no creep, an elastic microslip of about a micrometre). Both springs are as stiff as a node's area
+is large: cloth that lies evenly sinks in evenly, and all of it reaches the limit together.
 """
 
 from dataclasses import dataclass

@@ -28,24 +28,12 @@ ADVANCES_MAX = wp.constant(200)
 PAIRS_MAX = 2_000_000  # nearer than asked for: more is an error
 
 
-@wp.struct
-class Corners:
-    """Positions of the four nodes of a pair."""
-
-    a: wp.vec3d
-    b: wp.vec3d
-    c: wp.vec3d
-    d: wp.vec3d
+Corners = wp.types.matrix(shape=(4, 3), dtype=wp.float64)  # rows: the four nodes of a pair
 
 
 @wp.func
 def corners_of(x: wp.array(dtype=wp.vec3d), nodes: wp.vec4i) -> Corners:
-    p = Corners()
-    p.a = x[nodes[0]]
-    p.b = x[nodes[1]]
-    p.c = x[nodes[2]]
-    p.d = x[nodes[3]]
-    return p
+    return wp.matrix_from_rows(x[nodes[0]], x[nodes[1]], x[nodes[2]], x[nodes[3]])
 
 
 @wp.func
@@ -110,8 +98,8 @@ def closest_on_edges(a: wp.vec3d, b: wp.vec3d, c: wp.vec3d, d: wp.vec3d) -> wp.v
 @wp.func
 def closest(kind: int, p: Corners) -> wp.vec2d:
     if kind == VERTEX_TRIANGLE:
-        return closest_on_triangle(p.a, p.b, p.c, p.d)
-    return closest_on_edges(p.a, p.b, p.c, p.d)
+        return closest_on_triangle(p[0], p[1], p[2], p[3])
+    return closest_on_edges(p[0], p[1], p[2], p[3])
 
 
 @wp.func
@@ -124,15 +112,15 @@ def weights(kind: int, at: wp.vec2d) -> wp.vec4d:
 
 @wp.func
 def between(p: Corners, w: wp.vec4d) -> wp.vec3d:
-    return w[0] * p.a + w[1] * p.b + w[2] * p.c + w[3] * p.d
+    return w[0] * p[0] + w[1] * p[1] + w[2] * p[2] + w[3] * p[3]
 
 
 @wp.func
 def slide(kind: int, p: Corners, change: wp.vec2d) -> wp.vec3d:
     """Derivative of the vector between the points with respect to their parameters."""
     if kind == VERTEX_TRIANGLE:
-        return change[0] * (p.b - p.c) + change[1] * (p.b - p.d)
-    return change[0] * (p.b - p.a) - change[1] * (p.d - p.c)
+        return change[0] * (p[1] - p[2]) + change[1] * (p[1] - p[3])
+    return change[0] * (p[1] - p[0]) - change[1] * (p[3] - p[2])
 
 
 @wp.func
@@ -143,24 +131,14 @@ def distance(kind: int, p: Corners) -> wp.float64:
 @wp.func
 def largest_approach(kind: int, move: Corners) -> wp.float64:
     """Bound on how much nearer the two sides come, the pair's common motion left out."""
-    mean = (move.a + move.b + move.c + move.d) * wp.float64(0.25)
-    a = wp.length(move.a - mean)
-    b = wp.length(move.b - mean)
-    c = wp.length(move.c - mean)
-    d = wp.length(move.d - mean)
+    mean = (move[0] + move[1] + move[2] + move[3]) * wp.float64(0.25)
+    a = wp.length(move[0] - mean)
+    b = wp.length(move[1] - mean)
+    c = wp.length(move[2] - mean)
+    d = wp.length(move[3] - mean)
     if kind == VERTEX_TRIANGLE:
         return a + wp.max(b, wp.max(c, d))
     return wp.max(a, b) + wp.max(c, d)
-
-
-@wp.func
-def advanced(p: Corners, move: Corners, part: wp.float64) -> Corners:
-    q = Corners()
-    q.a = p.a + part * move.a
-    q.b = p.b + part * move.b
-    q.c = p.c + part * move.c
-    q.d = p.d + part * move.d
-    return q
 
 
 @wp.func
@@ -177,7 +155,7 @@ def clear_part(kind: int, p: Corners, move: Corners) -> wp.float64:
         if part + step >= ONE:
             return ONE
         part += step
-        gap = distance(kind, advanced(p, move, part))
+        gap = distance(kind, p + move * part)
         if gap <= keep * wp.float64(1.05) + TINY:
             return part
     return part
@@ -300,17 +278,9 @@ class NearPairs:
     def _search(self, kind, first, second, motion: Motion) -> np.ndarray:
         while True:
             self._found.count.zero_()
-            wp.launch(
-                near_pairs,
-                dim=first.elements.shape[0],
-                inputs=[
-                    second.tree(),
-                    kind,
-                    *[motion, first.elements, second.elements],
-                    *[first.lower, first.upper, self._found],
-                ],
-                device=self.device,
-            )
+            boxes = first.elements, second.elements, first.lower, first.upper
+            inputs = [second.tree(), kind, motion, *boxes, self._found]
+            wp.launch(near_pairs, len(first.elements), inputs=inputs, device=self.device)
             count = int(self._found.count.numpy()[0])
             if count > PAIRS_MAX:
                 raise NotConverged(
@@ -351,12 +321,9 @@ class _Boxes:
 
     def enclose(self, x: wp.array, move: wp.array, inflation_m: float) -> None:
         rounding_m = 1e-6  # of single precision, at metres
-        wp.launch(
-            swept_boxes,
-            dim=self.elements.shape[0],
-            inputs=[x, move, self.elements, inflation_m + rounding_m, self.lower, self.upper],
-            device=self.device,
-        )
+        inflation_m += rounding_m
+        inputs = [x, move, self.elements, inflation_m, self.lower, self.upper]
+        wp.launch(swept_boxes, len(self.elements), inputs=inputs, device=self.device)
 
     def tree(self) -> wp.uint64:
         if self._tree is None:

@@ -1,16 +1,13 @@
 """Contact of the cloth with itself: which parts are near, their forces, their friction.
 
-Every vertex-triangle and edge-edge pair nearer than the thickness is pushed apart along the
-line between the closest points with k (d0 - d) d0/d, which grows without bound as the distance
-d goes to zero; parallel edges, whose closest points are not unique, are faded out (their ends
-are vertex-triangle pairs). Friction is exact Coulomb by return mapping, as on the floor: a pair
-remembers which material points of its two sides met, and a stiff spring along the surface pulls
-them together with at most mu times the normal force; at the limit the memory is dragged along.
-Measured in material points, a pair that turns as a whole does not slip.
+Every vertex-triangle and edge-edge pair nearer than the thickness is pushed apart along the line
+between the closest points with k (d0 - d) d0/d, which grows without bound as the distance d goes to
+zero; parallel edges, whose closest points are not unique, are faded out (their ends are
+vertex-triangle pairs). Friction is exact Coulomb by return mapping, as on the floor, between the
+material points of the two sides that met: a pair that turns as a whole does not slip.
 
-No passing through: a step is accepted only if the straight motion from its start to its end
-keeps every pair apart (additive advancement), near pairs being searched for along the whole of
-that motion.
+No passing through: a step is accepted only if the straight motion from its start to its end keeps
+every pair apart (additive advancement), near pairs being searched for along all of that motion.
 """
 
 import numpy as np
@@ -63,8 +60,9 @@ class Touch:
 
 
 @wp.func
-def touch(kind: int, p: Corners, thickness: wp.float64, normal_stiffness: wp.float64) -> Touch:
+def touch(pairs: Pairs, i: int, p: Corners) -> Touch:
     pair = Touch()
+    kind, thickness = pairs.kinds[i], pairs.thicknesses[i]
     pair.at = closest(kind, p)
     pair.weight = weights(kind, pair.at)
     apart = between(p, pair.weight)
@@ -73,22 +71,22 @@ def touch(kind: int, p: Corners, thickness: wp.float64, normal_stiffness: wp.flo
     if gap < thickness:
         fade = ONE
         if kind == EDGE_EDGE:
-            u = p.b - p.a
-            v = p.d - p.c
+            u = p[1] - p[0]
+            v = p[3] - p[2]
             sine = wp.length_sq(wp.cross(u, v)) / (wp.length_sq(u) * wp.length_sq(v))
             if sine < PARALLEL:
                 part = sine / PARALLEL
                 fade = part * (wp.float64(2.0) - part)
         pair.normal = apart / gap
-        pair.force = fade * normal_stiffness * (thickness - gap) * thickness / gap
-        pair.stiffness = fade * normal_stiffness * thickness * thickness / (gap * gap)
+        pair.force = fade * pairs.stiffness * (thickness - gap) * thickness / gap
+        pair.stiffness = fade * pairs.stiffness * thickness * thickness / (gap * gap)
     return pair
 
 
 @wp.func
-def stretched(kind: int, p: Corners, pair: Touch, anchor: wp.vec2d) -> wp.vec3d:
+def stretched(pairs: Pairs, i: int, p: Corners, pair: Touch) -> wp.vec3d:
     """Vector along the surface between the material points that met."""
-    change = slide(kind, p, anchor - pair.at)
+    change = slide(pairs.kinds[i], p, pairs.anchors[i] - pair.at)
     return change - wp.dot(change, pair.normal) * pair.normal
 
 
@@ -99,10 +97,10 @@ def self_contact_force(
     i = wp.tid()
     n = pairs.nodes[i]
     p = corners_of(x, n)
-    pair = touch(pairs.kinds[i], p, pairs.thicknesses[i], pairs.stiffness)
+    pair = touch(pairs, i, p)
     if pair.force == ZERO:
         return
-    q = pairs.stiffness * stretched(pairs.kinds[i], p, pair, pairs.anchors[i])
+    q = pairs.stiffness * stretched(pairs, i, p, pair)
     push = returned_force(q, pairs.friction * pair.force) - pair.force * pair.normal
     for k in range(4):
         wp.atomic_add(minus_force, n[k], pair.weight[k] * push)
@@ -121,10 +119,10 @@ def self_contact_stiffness(
     i = wp.tid()
     n = pairs.nodes[i]
     p = corners_of(x, n)
-    pair = touch(pairs.kinds[i], p, pairs.thicknesses[i], pairs.stiffness)
+    pair = touch(pairs, i, p)
     if pair.force == ZERO:
         return
-    d = stretched(pairs.kinds[i], p, pair, pairs.anchors[i])
+    d = stretched(pairs, i, p, pair)
     size = wp.length(d)
     across = wp.outer(pair.normal, pair.normal)
     surface = wp.identity(n=3, dtype=wp.float64) - across
@@ -162,53 +160,42 @@ def move_self_anchors(
     """After an accepted step: slipping pairs drag their memory along, open ones forget."""
     i = wp.tid()
     p = corners_of(x, pairs.nodes[i])
-    pair = touch(pairs.kinds[i], p, pairs.thicknesses[i], pairs.stiffness)
+    pair = touch(pairs, i, p)
     touching[i] = 0
     if pair.force == ZERO:
         pairs.anchors[i] = pair.at
         return
     touching[i] = 1
-    pull = stretched(pairs.kinds[i], p, pair, pairs.anchors[i])
+    pull = stretched(pairs, i, p, pair)
     kept = kept_pull(wp.length(pull), pairs.stiffness, pairs.friction * pair.force)
     if kept < ONE:
         pairs.anchors[i] = pair.at + (pairs.anchors[i] - pair.at) * kept
 
 
 @wp.kernel
-def closest_points(
-    x: wp.array(dtype=wp.vec3d),
-    nodes: wp.array(dtype=wp.vec4i),
-    kinds: wp.array(dtype=wp.int32),
-    at: wp.array(dtype=wp.vec2d),
-):
+def closest_points(x: wp.array(dtype=wp.vec3d), pairs: Pairs, at: wp.array(dtype=wp.vec2d)):
     i = wp.tid()
-    at[i] = closest(kinds[i], corners_of(x, nodes[i]))
+    at[i] = closest(pairs.kinds[i], corners_of(x, pairs.nodes[i]))
 
 
 @wp.kernel
-def pair_thickness(
-    rest: wp.array(dtype=wp.vec3d),
-    nodes: wp.array(dtype=wp.vec4i),
-    kinds: wp.array(dtype=wp.int32),
-    thickness: wp.float64,
-    thicknesses: wp.array(dtype=wp.float64),
-):
+def pair_thickness(rest: wp.array(dtype=wp.vec3d), pairs: Pairs, thickness: wp.float64):
     """The cloth's thickness; for neighbours in the sheet at most half their distance at rest."""
     i = wp.tid()
-    apart = distance(kinds[i], corners_of(rest, nodes[i]))
-    thicknesses[i] = wp.min(thickness, wp.float64(0.5) * apart)
+    apart = distance(pairs.kinds[i], corners_of(rest, pairs.nodes[i]))
+    pairs.thicknesses[i] = wp.min(thickness, wp.float64(0.5) * apart)
 
 
 @wp.kernel
 def clear_parts(
     x: wp.array(dtype=wp.vec3d),
     move: wp.array(dtype=wp.vec3d),
-    nodes: wp.array(dtype=wp.vec4i),
-    kinds: wp.array(dtype=wp.int32),
+    pairs: Pairs,
     part: wp.array(dtype=wp.float64),
 ):
     i = wp.tid()
-    part[i] = clear_part(kinds[i], corners_of(x, nodes[i]), corners_of(move, nodes[i]))
+    n = pairs.nodes[i]
+    part[i] = clear_part(pairs.kinds[i], corners_of(x, n), corners_of(move, n))
 
 
 class SelfContact:
@@ -283,14 +270,11 @@ class SelfContact:
         self._part = wp.zeros(len(keys), dtype=wp.float64, device=self.device)
         if not len(keys):
             return
-        self._launch(
-            pair_thickness,
-            [self._rest, pairs.nodes, pairs.kinds, self.thickness_m, pairs.thicknesses],
-        )
+        self._launch(pair_thickness, [self._rest, pairs, self.thickness_m])
         fresh = np.isnan(anchors[:, 0])
         if fresh.any():
             here = wp.zeros(len(keys), dtype=wp.vec2d, device=self.device)
-            self._launch(closest_points, [self._x, pairs.nodes, pairs.kinds, here])
+            self._launch(closest_points, [self._x, pairs, here])
             pairs.anchors.assign(np.where(fresh[:, None], here.numpy(), anchors))
 
     def _launch(self, kernel, inputs: list) -> None:
@@ -305,9 +289,7 @@ class SelfContact:
             return 1.0
         self._x.assign(x)
         self._move.assign(move)
-        self._launch(
-            clear_parts, [self._x, self._move, self.pairs.nodes, self.pairs.kinds, self._part]
-        )
+        self._launch(clear_parts, [self._x, self._move, self.pairs, self._part])
         return float(self._part.numpy().min())
 
     # -- forces ---------------------------------------------------------------------------

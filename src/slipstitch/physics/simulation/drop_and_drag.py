@@ -191,6 +191,7 @@ class _Bench:
             [-sin(yaw) * lateral, cos(yaw) * lateral, path.start_height_m - down]
         )
         hung_m[:, 2] += perturbation.height_m
+        own = cloth.SolverSettings.of(settings.of_fabric(run.material))
         new_solver = partial(
             cloth.ClothSolver,
             mesh,
@@ -198,9 +199,7 @@ class _Bench:
             hung_m,
             friction=model.law_at(run.friction),
             fixed=fixed,
-            settings=replace(
-                cloth.SolverSettings.of(settings.of_fabric(run.material)), device=device
-            ),
+            settings=replace(own, device=device),
             conditions=cloth.Conditions(
                 gravity_m_s2=model.gravity_m_s2(GRAVITY_M_S2),
                 warp_angle_rad=0.0 if settings.warp == "u" else pi / 2,
