@@ -287,8 +287,7 @@ class ClothScene:
     ) -> Rendering:
         """Render the cloth with these vertices (V, 3) through this camera, at its resolution.
 
-        `samples` are paths per pixel, the first through its centre; the seed is the path tracer's.
-        SlipstitchError if Blender could not write the image, as on a full disk.
+        `samples` are paths per pixel, the first through its centre. SlipstitchError on a full disk.
         """
         self._mesh.vertices.foreach_set("co", np.asarray(positions_m, dtype=np.float32).ravel())
         self._mesh.update()

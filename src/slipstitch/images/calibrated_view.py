@@ -199,8 +199,7 @@ def draw_bench_camera(seed: int, simulation: str, viewpoint: str) -> BenchCamera
 def bench_room(seen: Camera, stage_x_m: float, room_m: np.ndarray) -> np.ndarray:
     """Points (N, 3) that the bench camera's image must hold.
 
-    The cloth's room, and where the calibrated crop's corners look through the stage plane: hardly
-    any of the rectified image is blind then.
+    The cloth's room, and where the calibrated crop's corners look through the stage plane.
     """
     corners = np.column_stack([_CORNERS * seen.pixels - 0.5, np.ones(4)])
     rays = corners @ np.linalg.inv(seen.matrix).T @ seen.rotation

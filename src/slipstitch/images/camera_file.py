@@ -139,8 +139,7 @@ def check_position(where: str, position_m: np.ndarray, hint: str = "") -> None:
 def read_foreign_lens(path: str | os.PathLike) -> Lens:
     """Return the lens in a calibration that another program wrote; BadInput if it is none.
 
-    YAML or XML of OpenCV's FileStorage, ROS camera_info (a file or a printed message), or JSON with
-    the arrays of calibrateCamera and the image's size.
+    OpenCV's FileStorage (YAML, XML), ROS camera_info, or JSON of calibrateCamera's arrays and size.
     """
     content = _content(path)
     matrix = _foreign_numbers(path, content, _MATRIX, "camera_matrix")

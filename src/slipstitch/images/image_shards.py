@@ -53,9 +53,9 @@ def render_shard(
 ) -> dict:
     """Make the image shard of one simulation from one viewpoint, with every texture.
 
-    The light is taken from the file `pack_path` or, by default, rendered in Blender; the pixels are
-    the same. Return the numbers of frames and images, and the smallest share of the cloth's
-    vertices in an image. BadInput if the trajectory, the pack or a texture cannot be used.
+    The light is from the file `pack_path` or rendered in Blender; the pixels are the same. Return
+    the numbers of frames and images, and the smallest share of the cloth in an image; else
+    BadInput.
     """
     started = provenance.start_clock()
     cv2.setNumThreads(1)
@@ -169,9 +169,9 @@ def preview(
 ) -> None:
     """Make a contact sheet and a video of image shards, usually all viewpoints of a simulation.
 
-    Of the frames that all shards have, `sheet` (PNG) has for every viewpoint a row of the first
-    texture through time, then, at one time, all textures; `video` (MP4) the viewpoints side by
-    side. BadInput if a shard cannot be read or the shards have no frame in common.
+    `sheet` (PNG) has for every viewpoint a row of the first texture through time, then, at one
+    time, all textures; `video` (MP4) the viewpoints side by side. BadInput without a frame in
+    common.
     """
     started = provenance.start_clock()
     videos = {}

@@ -136,9 +136,8 @@ def verify(
 ) -> list[Comparison]:
     """Render a random sample of the shards' images directly, compare, write that as JSON.
 
-    `trajectories` and `packs` are folders, `progress` wraps the list of images. BadInput if a file
-    is missing or damaged; SlipstitchError if an image is not the dataset's, or too unlike the
-    direct one.
+    `trajectories` and `packs` are folders. BadInput if a file is missing or damaged;
+    SlipstitchError if an image is not the dataset's, or too unlike the direct one.
     """
     started = provenance.start_clock()
     rows = []

@@ -242,8 +242,7 @@ def interpolated(
 ) -> Trajectory:
     """The weighted mean of trajectories on one mesh, frame by frame as far as it is a cloth.
 
-    In the mean of two that roll over at other moments, edges collapse: there, a frame shows the
-    film's `own` simulation; ``metadata["interpolated_frames"]`` is the number of the others.
+    Where edges collapse in the mean, a frame shows the film's `own` simulation.
     """
     first, total = parents[own], sum(weights.values())
     for name, other in parents.items():

@@ -14,16 +14,8 @@ from typing import Any
 
 import warp as wp
 
-from slipstitch.physics.friction_law import CONTACT_MECHANISMS
+from slipstitch.physics.friction_law import CONTACT_MECHANISMS, mechanisms
 from slipstitch.physics.friction_law.law import CURVE_QUANTITIES, MOST_KNOTS
-from slipstitch.physics.friction_law.mechanisms import (
-    LEAST_RATIO,
-    REFERENCE_DWELL_S,
-    REFERENCE_HUMIDITY_PCT,
-    REFERENCE_PRESSURE_PA,
-    REFERENCE_SPEED_M_S,
-    SLOWEST_M_S,
-)
 
 wp.set_module_options({"enable_backward": False})
 
@@ -41,11 +33,12 @@ CURVE_SPEED, CURVE_LOAD, _ = (wp.constant(k + 1) for k in range(len(CURVE_QUANTI
 KNOTS = wp.constant(MOST_KNOTS)
 ZERO, ONE = wp.constant(wp.float64(0.0)), wp.constant(wp.float64(1.0))
 TWO, TEN = wp.constant(wp.float64(2.0)), wp.constant(wp.float64(10.0))
-SLOWEST, LEAST = wp.constant(wp.float64(SLOWEST_M_S)), wp.constant(wp.float64(LEAST_RATIO))
-PRESSURE_PA = wp.constant(wp.float64(REFERENCE_PRESSURE_PA))
-DWELL_S = wp.constant(wp.float64(REFERENCE_DWELL_S))
-SPEED_M_S = wp.constant(wp.float64(REFERENCE_SPEED_M_S))
-HUMIDITY_PCT = wp.constant(wp.float64(REFERENCE_HUMIDITY_PCT))
+SLOWEST = wp.constant(wp.float64(mechanisms.SLOWEST_M_S))
+LEAST = wp.constant(wp.float64(mechanisms.LEAST_RATIO))
+PRESSURE_PA = wp.constant(wp.float64(mechanisms.REFERENCE_PRESSURE_PA))
+DWELL_S = wp.constant(wp.float64(mechanisms.REFERENCE_DWELL_S))
+SPEED_M_S = wp.constant(wp.float64(mechanisms.REFERENCE_SPEED_M_S))
+HUMIDITY_PCT = wp.constant(wp.float64(mechanisms.REFERENCE_HUMIDITY_PCT))
 
 
 @wp.struct

@@ -13,20 +13,10 @@ every pair apart (additive advancement), near pairs being searched for along all
 import numpy as np
 import warp as wp
 
+from slipstitch.physics.cloth import proximity
 from slipstitch.physics.cloth.friction import kept_pull, returned_force, returned_stiffness
 from slipstitch.physics.cloth.mesh import ClothMesh
-from slipstitch.physics.cloth.proximity import (
-    EDGE_EDGE,
-    Corners,
-    NearPairs,
-    between,
-    clear_part,
-    closest,
-    corners_of,
-    distance,
-    slide,
-    weights,
-)
+from slipstitch.physics.cloth.proximity import Corners, NearPairs, corners_of
 
 wp.set_module_options({"enable_backward": False})
 
@@ -63,14 +53,14 @@ class Touch:
 def touch(pairs: Pairs, i: int, p: Corners) -> Touch:
     pair = Touch()
     kind, thickness = pairs.kinds[i], pairs.thicknesses[i]
-    pair.at = closest(kind, p)
-    pair.weight = weights(kind, pair.at)
-    apart = between(p, pair.weight)
+    pair.at = proximity.closest(kind, p)
+    pair.weight = proximity.weights(kind, pair.at)
+    apart = proximity.between(p, pair.weight)
     gap = wp.length(apart)
     pair.force = ZERO
     if gap < thickness:
         fade = ONE
-        if kind == EDGE_EDGE:
+        if kind == proximity.EDGE_EDGE:
             u = p[1] - p[0]
             v = p[3] - p[2]
             sine = wp.length_sq(wp.cross(u, v)) / (wp.length_sq(u) * wp.length_sq(v))
@@ -86,7 +76,7 @@ def touch(pairs: Pairs, i: int, p: Corners) -> Touch:
 @wp.func
 def stretched(pairs: Pairs, i: int, p: Corners, pair: Touch) -> wp.vec3d:
     """Vector along the surface between the material points that met."""
-    change = slide(pairs.kinds[i], p, pairs.anchors[i] - pair.at)
+    change = proximity.slide(pairs.kinds[i], p, pairs.anchors[i] - pair.at)
     return change - wp.dot(change, pair.normal) * pair.normal
 
 
@@ -175,14 +165,14 @@ def move_self_anchors(
 @wp.kernel
 def closest_points(x: wp.array(dtype=wp.vec3d), pairs: Pairs, at: wp.array(dtype=wp.vec2d)):
     i = wp.tid()
-    at[i] = closest(pairs.kinds[i], corners_of(x, pairs.nodes[i]))
+    at[i] = proximity.closest(pairs.kinds[i], corners_of(x, pairs.nodes[i]))
 
 
 @wp.kernel
 def pair_thickness(rest: wp.array(dtype=wp.vec3d), pairs: Pairs, thickness: wp.float64):
     """The cloth's thickness; for neighbours in the sheet at most half their distance at rest."""
     i = wp.tid()
-    apart = distance(pairs.kinds[i], corners_of(rest, pairs.nodes[i]))
+    apart = proximity.distance(pairs.kinds[i], corners_of(rest, pairs.nodes[i]))
     pairs.thicknesses[i] = wp.min(thickness, wp.float64(0.5) * apart)
 
 
@@ -195,7 +185,7 @@ def clear_parts(
 ):
     i = wp.tid()
     n = pairs.nodes[i]
-    part[i] = clear_part(pairs.kinds[i], corners_of(x, n), corners_of(move, n))
+    part[i] = proximity.clear_part(pairs.kinds[i], corners_of(x, n), corners_of(move, n))
 
 
 class SelfContact:

@@ -67,9 +67,7 @@ class Sheet:
     def _record_launches(self) -> None:
         def launches(*over):
             return [
-                wp.launch(
-                    kernel, dim, inputs=[self.x, *inputs], device=self.device, record_cmd=True
-                )
+                wp.launch(kernel, dim, [self.x, *inputs], device=self.device, record_cmd=True)
                 for kernel, dim, inputs in over
             ]
 

@@ -250,8 +250,8 @@ class ClothSolver:
     def _correction(self, residual: np.ndarray) -> np.ndarray:
         """Newton correction at the positions last evaluated.
 
-        The factor A holds contact as it was; with the difference C to its exact tangent now, GMRES
-        on (A + C) A^-1 y = -r needs products with C only.
+        The factor A holds contact as it was; with its change C, GMRES on (A + C) A^-1 y = -r needs
+        only C.
         """
         nodes, blocks = self._contact_blocks()
         difference = -self._factored_blocks

@@ -88,10 +88,9 @@ def incline(settings: SimulationSettings, friction: float, slope_deg: float) -> 
 def tilt(
     settings: SimulationSettings, friction: float, static_kinetic: float = 0.0
 ) -> dict[str, Any]:
-    """Tilt a plane with a square of cloth slowly from the horizontal until the cloth slides.
+    """Tilt a plane with a square of cloth slowly until the cloth slides; tangent there, or None.
 
-    The static coefficient exceeds the kinetic one, ``friction``, by ``static_kinetic`` of it;
-    ``slope_at_slip`` is the tangent of the slope where the cloth breaks away, or None.
+    The static coefficient exceeds the kinetic one, ``friction``, by ``static_kinetic`` of it.
     """
     law = FrictionLaw(friction, {"static_kinetic": {"static_kinetic": static_kinetic}})
     expected = friction * (1 + static_kinetic)

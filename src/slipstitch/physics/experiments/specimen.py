@@ -82,10 +82,10 @@ def held(mesh: ClothMesh, rows: int, cylindrical: bool = True) -> np.ndarray:
 
 
 def cylindrical_strip_tables(membrane_stiffness_N_m: float, rigidity_Nm: float) -> ElasticTables:
-    """Tables of a strip that bends about the mesh lines across it and resists twist.
+    """Tables of a strip that bends about the mesh lines across it and resists twist; square cells.
 
-    A narrow mesh of alternating diagonals bends by ke/4.95 instead of a cylinder's ke/4: its cross
-    edges tilt to and fro, but for stiff diagonals. The cells of the mesh must be squares.
+    Narrow alternating diagonals would bend by ke/4.95, not ke/4: edges tilt, but for stiff
+    diagonals.
     """
     tables = isotropic_tables(AREAL_DENSITY_KG_M2, membrane_stiffness_N_m, 4 * rigidity_Nm)
     bending_N_m = tables.bending_N_m.copy()

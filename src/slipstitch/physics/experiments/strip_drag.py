@@ -182,8 +182,7 @@ def strip_drag(
 ) -> dict[str, Any]:
     """Drag a strip hinged at a holder above the floor until its shape is steady.
 
-    It has as many vertices as a side of the simulated cloth; the gravity length is (B/w)^(1/3), of
-    bending rigidity and weight per area.
+    It has as many vertices as a side of the cloth; the gravity length is (B/w)^(1/3) per area.
     """
     rows = settings.vertices_per_side
     spacing_m = LENGTH_M / (rows - 1)

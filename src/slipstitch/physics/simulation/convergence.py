@@ -73,8 +73,8 @@ def measured_convergence(
 ) -> dict[str, Any]:
     """What is known of a run's fabric, at its coefficient or those on either side.
 
-    ``differ`` are settings for which the study does not speak, ``verdict`` is the worse of the
-    cases (see `study.summary`), or None.
+    ``differ`` are settings for which the study does not speak, ``verdict`` is the worse one or
+    None.
     """
     study = read_study(measured)
     differ = studied_settings_that_differ(study["studied"], settings)

@@ -22,14 +22,9 @@ from slipstitch.config.section import FormerKeyError, without_former_keys
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.design.grid import find_simulation
 from slipstitch.physics.friction_law.extended_model import read_extended_model
+from slipstitch.physics.simulation import drop_and_drag as bench
 from slipstitch.physics.simulation.convergence import measured_convergence
-from slipstitch.physics.simulation.drop_and_drag import (
-    DropAndDrag,
-    cloth_mesh,
-    described_mesh,
-    draw_perturbation,
-    simulate_drop_and_drag,
-)
+from slipstitch.physics.simulation.drop_and_drag import DropAndDrag
 from slipstitch.physics.simulation.trajectory import Trajectory, read_with_columns, write_trajectory
 
 CHECKSUMS = "SHA256SUMS"
@@ -71,7 +66,7 @@ def simulate_to_file(
         trajectory, columns, origin = taken
     else:
         try:
-            trajectory, columns = simulate_drop_and_drag(
+            trajectory, columns = bench.simulate_drop_and_drag(
                 run, settings, device=device or config.compute.device
             )
         except NotConverged as error:
@@ -105,8 +100,7 @@ def take_handed_out(
 ) -> tuple[Trajectory, dict[str, np.ndarray], dict[str, Any]] | None:
     """Read a run from a folder of simulations or from a release; None if no file claims to be it.
 
-    BadInput if two files do, or the one is damaged or of other settings. Return the run, its
-    columns, and its origin for the record.
+    BadInput if two do, or it is damaged or of other settings. Return run, columns, origin.
     """
     asked = {"simulation": ids["simulation"]} if ids else _of_the_run(run)
     claims = [
@@ -185,7 +179,7 @@ def _differences(
             yield f"{name} {theirs.get(name, 'not stated')}, not {own.get(name, 'stated')}"
     model = asdict(read_extended_model(settings.model)) if settings.model else None
     recorded = ((its.get("provenance") or {}).get("config") or {}).get("catalogue")
-    perturbation = asdict(draw_perturbation(settings, run.seed, run.replicate))
+    perturbation = asdict(bench.draw_perturbation(settings, run.seed, run.replicate))
     for name, expected, stated in (
         ("perturbation of the bench", perturbation, its.get("perturbation")),
         ("extended model", json.loads(json.dumps(model)), its.get("extended_model")),
@@ -193,7 +187,7 @@ def _differences(
     ):
         if expected != stated:
             yield f"another {name}"
-    for name, array in described_mesh(*cloth_mesh(settings)).items():
+    for name, array in bench.described_mesh(*bench.cloth_mesh(settings)).items():
         stated = getattr(trajectory, name)
         if np.shape(array) != np.shape(stated) or not np.allclose(array, stated, 0, 1e-12):
             yield "another mesh"
