@@ -10,6 +10,7 @@ from pathlib import Path
 
 import click
 import pytest
+from support.refusal import refused
 
 import slipstitch.cli.main as command
 from slipstitch.base.errors import BadInput, NotConverged
@@ -26,10 +27,11 @@ def verb(monkeypatch):
     """Replace the verb; the test says what it does."""
     done = types.SimpleNamespace(run=lambda arguments: None)
 
-    @options.verb("a verb", "slipstitch doctor --size 3")
+    @options.verb("slipstitch doctor --size 3")
     @click.option("--size", type=int)
     @options.several("--files")
     def doctor(arguments):
+        """Do what the test says."""
         return done.run(arguments)
 
     monkeypatch.setattr(project, VERB, doctor)
@@ -40,22 +42,21 @@ def words(text):
     return " ".join(text.split())
 
 
-def test_overview_names_every_verb_with_its_summary(capsys):
+def test_overview_and_help_name_every_verb_with_its_summary_and_a_real_example(capsys):
     assert command.main(["--help"]) == 0
     shown = words(capsys.readouterr().out)
-    context = click.Context(command.program)
     for name in command.VERBS:
-        summary = command.program.get_command(context, name).short_help
+        summary = command.program.get_command(click.Context(command.program), name).short_help
         assert f"{name} {words(summary)}" in shown
+        assert command.main([name, "--help"]) == 0
+        assert f"slipstitch {name}" in words(capsys.readouterr().out.split("example:")[1])
 
 
 def test_no_verb_and_an_unknown_one_are_bad_usage(capsys):
     assert command.main([]) == 2
     captured = capsys.readouterr()
     assert captured.out == "" and captured.err.startswith("Usage")
-    assert command.main(["simulat"]) == 2
-    line = capsys.readouterr().err
-    assert line.count("\n") == 1 and "unknown verb 'simulat'" in line
+    assert "unknown verb 'simulat'; did you mean simulate?" in refused(capsys, "simulat")
     assert command.main(["--version"]) == 0
     assert capsys.readouterr().out.startswith("slipstitch 0.")
 
@@ -67,23 +68,22 @@ def test_an_option_takes_several_values_as_it_would_be_repeated(verb):
     assert seen == [("a", "b", "c")]
 
 
-@pytest.mark.parametrize(("returned", "code"), [(None, 0), (0, 0), (1, 1), (3, 3)])
-def test_exit_code_is_what_the_verb_returns(verb, returned, code):
-    verb.run = lambda arguments: returned
-    assert command.main([VERB]) == code
+OUTCOMES = [
+    *((code, code or 0, "") for code in (None, 0, 1, 3)),
+    (BadInput("friction\nis -1"), 2, "slipstitch doctor: error: friction is -1\n"),
+    (NotConverged("step 3"), 1, "slipstitch doctor: failed: step 3\n"),
+    (KeyboardInterrupt(), 130, "slipstitch doctor: interrupted\n"),
+]
 
 
-@pytest.mark.parametrize(
-    ("error", "code", "line"),
-    [
-        (BadInput("friction\nis -1"), 2, "slipstitch doctor: error: friction is -1\n"),
-        (NotConverged("step 3"), 1, "slipstitch doctor: failed: step 3\n"),
-        (KeyboardInterrupt(), 130, "slipstitch doctor: interrupted\n"),
-    ],
-)
-def test_errors_a_user_may_meet_are_one_line(verb, capsys, error, code, line):
+@pytest.mark.parametrize(("outcome", "code", "line"), OUTCOMES)
+def test_exit_code_is_the_verb_s_and_errors_a_user_may_meet_are_one_line(
+    verb, capsys, outcome, code, line
+):
     def run(arguments):
-        raise error
+        if isinstance(outcome, BaseException):
+            raise outcome
+        return outcome
 
     verb.run = run
     assert command.main([VERB]) == code
@@ -91,10 +91,12 @@ def test_errors_a_user_may_meet_are_one_line(verb, capsys, error, code, line):
     assert (captured.err, captured.out) == (line, "")
 
 
-def test_fault_of_the_program_keeps_its_traceback(verb):
+def test_fault_of_the_program_keeps_its_traceback_and_bad_usage_is_one_line(verb, capsys):
     verb.run = lambda arguments: 1 / 0
     with pytest.raises(ZeroDivisionError):
         command.main([VERB])
+    for bad in ("--size big", "--sise 3", "stray"):
+        assert refused(capsys, f"{VERB} {bad}").startswith("slipstitch doctor: error: ")
 
 
 def test_a_job_of_the_workflow_states_its_cpu_time_last(verb, capsys, monkeypatch):
@@ -106,14 +108,6 @@ def test_a_job_of_the_workflow_states_its_cpu_time_last(verb, capsys, monkeypatc
     said = capsys.readouterr().err.removeprefix("done\n")
     told_s = float(SAID_CPU_TIME.fullmatch(said.rstrip())[1])
     assert 0 < told_s < sum(os.times()[:4]) + 0.01  # which it is rounded to
-
-
-@pytest.mark.parametrize("words", [["--size", "big"], ["--sise", "3"], ["stray"]])
-def test_bad_usage_of_a_verb_is_one_line(verb, capsys, words):
-    assert command.main([VERB, *words]) == 2
-    line = capsys.readouterr().err
-    assert line.startswith("slipstitch doctor: error: ")
-    assert line.count("\n") == 1
 
 
 def test_only_the_command_line_knows_of_options_and_nothing_depends_on_it():
@@ -136,12 +130,6 @@ def test_overview_imports_nothing_heavy():
     shown = subprocess.check_output([sys.executable, "-c", code], text=True)
     heavy = {"numpy", "torch", "bpy", "warp", "pyarrow", "pydantic"}
     assert not heavy & set(shown.splitlines()[-1].split())
-
-
-def test_help_of_every_verb_shows_a_real_example(capsys):
-    for name in command.VERBS:
-        assert command.main([name, "--help"]) == 0
-        assert f"slipstitch {name}" in words(capsys.readouterr().out.split("example:")[1])
 
 
 def test_installed_program_and_module_are_the_same():
@@ -171,10 +159,7 @@ UNWRITABLE = [
     ("criticise {folder} --out /dev/full", "is a device or a pipe; must be a file"),
     ("report --config x.yaml --out {file}/x.html", "{file} is a file, not a folder"),
     ("predict x.json {folder} --out {file}/a/x.csv", "{file} is a file"),
-    ("protocol incline --out {folder}", "is a folder; must be a file"),
     ("report --config x.yaml --out x.png", "x.png: must end in .html or .htm"),
-    ("report --config x.yaml --out -", "-: must end in .html or .htm"),
-    ("calibrate --config x.yaml --out x.txt", "x.txt: must end in .json"),
     ("capture reference x.csv --out x.txt", "x.txt: must end in .csv"),
     ("ablate --config x --summary x --out x", "x: must end in .json"),
     ("sample --config x.yaml --out-dir {file} x.parquet", "is a file; must be a folder"),
@@ -190,11 +175,9 @@ def test_what_cannot_be_written_is_refused_before_any_work(words, reason, tmp_pa
     file = tmp_path / "file"
     file.write_text("kept")
     named = {"folder": tmp_path, "file": file}
-    assert command.main([word.format(**named) for word in words.split()]) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert reason.format(**named) in line
-    assert file.read_text() == "kept"
-    assert list(tmp_path.iterdir()) == [file]
+    said = refused(capsys, [word.format(**named) for word in words.split()])
+    assert reason.format(**named) in said
+    assert (list(tmp_path.iterdir()), file.read_text()) == ([file], "kept")
 
 
 BY_HAND = "simulate --material gray-interlock --friction 0.3 --out x.parquet"
@@ -218,16 +201,12 @@ CONTRADICTIONS = [
     (f"{BY_HAND} --model m.yaml --set model=n.yaml", "--model cannot be combined"),
     ("render --preview --verify x.parquet", "--verify cannot be combined with --pre"),
     ("render --verify --out-dir d x.parquet", "--out-dir cannot be combined with"),
-    ("render --from-shading p --packs d", "--packs cannot be combined with --from"),
-    ("render --shading p.parquet --out x.json", "--out cannot be combined with --shading"),
     (RENDERED, "rendering requires --viewpoint"),
     (f"{RENDERED} --viewpoint v00 --out-sheet a.png", "cannot be combined with rendering"),
-    (f"{TWO_VIEWS} --shading a.parquet", "--shading requires one file for each --viewpoint"),
     (f"{TWO_VIEWS} --shading a.parquet a.parquet", "--shading requires one file for each"),
     (f"{TWO_VIEWS} --out a.parquet", "--out takes images of one --viewpoint"),
     (f"{CAPTURES} --details d.json", "--details cannot be combined with --captures"),
     ("audit r --explain c --rebuild c", "--rebuild cannot be combined with --ex"),
-    ("audit r --explain c --json a.json", "--json cannot be combined with --ex"),
     ("audit r --rebuild c --page a.html", "--page cannot be combined with --re"),
     ("criticise case --out v.json --power --model m.yaml", "--model cannot be combined with --po"),
     ("criticise case --out - --validate new", "-: must end in .json"),
@@ -237,7 +216,6 @@ CONTRADICTIONS = [
     ("measure", "no video: give one, or --example"),
     ("measure film.mp4", "--camera FILE is required"),
     ("measure --example film.mp4", "--example has its own video and camera: give neither with it"),
-    ("measure --example --camera c.json", "--example has its own video and camera"),
     (f"{MEASURE} --frame-rate-hz 0", "--frame-rate-hz 0: must be greater than 0"),
     ("protocol incline --friction 1 --slope-deg 90 --out x.json", "--slope-deg must be at least 0"),
 ]
@@ -249,7 +227,5 @@ def test_options_that_contradict_are_refused_before_any_work(
 ):
     shutil.copy(ROOT / "config.yaml", tmp_path)
     monkeypatch.chdir(tmp_path)
-    assert command.main(words.split()) == 2
-    (line,) = capsys.readouterr().err.splitlines()
-    assert reason in line
+    assert reason in refused(capsys, words)
     assert [path.name for path in tmp_path.iterdir()] == ["config.yaml"]

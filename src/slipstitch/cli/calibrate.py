@@ -17,9 +17,8 @@ PICTURES = {"checks": "picture", "strip": "strip_picture", "settings": "settings
 
 
 @options.verb(
-    "choose numerical settings with a pushed strip, and check them against theory",
     "slipstitch calibrate --config config.yaml --out results/calibrate/calibration.json "
-    "--picture results/calibrate/calibration.png",
+    "--picture results/calibrate/calibration.png"
 )
 @options.config_files(required=False)
 @option("--out", type=options.JSON, help="settings and checks (with --sweep: its runs)")
@@ -31,7 +30,7 @@ PICTURES = {"checks": "picture", "strip": "strip_picture", "settings": "settings
 @option("--settings-picture", type=options.PICTURE, help="errors by numerical setting")
 @options.switch("--only-failures", "draw only if a requirement is not met, as NAME.failed.png")
 def calibrate(arguments: options.Arguments) -> None:
-    """Sweep, choose and check; print one line per setting and per check."""
+    """Choose numerical settings with a pushed strip, and check them against theory."""
     from slipstitch.physics.calibration.calibration import calibrate_to_file
     from slipstitch.physics.calibration.sweep import sweep_to_file
 
@@ -71,10 +70,8 @@ def _print_calibration(calibration: Mapping) -> None:
     for check in calibration["checks"]:
         where = " ".join(f"{key}={value:.6g}" for key, value in check["options"].items())
         unit = "" if check["relative"] or not check["unit"] else f" {check['unit']}"
-        print(
-            f"{check['name']:<28} {where:<44} error {check['error']:.2e}{unit}, "
-            f"allowed {check['demand']:.2e}{unit}"
-        )
+        error, demand = (f"{check[key]:.2e}{unit}" for key in ("error", "demand"))
+        print(f"{check['name']:<28} {where:<44} error {error}, allowed {demand}")
     print(f"{len(calibration['checks'])} checks met")
 
 
@@ -118,16 +115,16 @@ def _experiment_options(run: Callable) -> Callable:
     return run
 
 
-@options.verb(
-    "run a known-answer experiment in the simulator and compare it with theory",
-    "slipstitch protocol incline --friction 0.5 --slope-deg 30 --out incline.json",
-)
+@options.verb("slipstitch protocol incline --friction 0.5 --slope-deg 30 --out incline.json")
 @argument("name", metavar="NAME", type=click.Choice(NAMES), help=", ".join(NAMES))
 @option("--out", type=options.JSON, required=True, help="measured and theoretical values")
 @_experiment_options
 @option("--time-step", type=float, metavar="S", help="time step in s")
 def protocol(arguments: options.Arguments) -> int:
-    """Run it, write the result, print it; exit code 1 if it does not meet its demands."""
+    """Run a known-answer experiment in the simulator and compare it with theory.
+
+    Exit code 1 if the result does not meet its demands.
+    """
     from slipstitch.config.load import resolve_config
     from slipstitch.physics.experiments.registry import run_protocol_to_file
 
@@ -141,18 +138,14 @@ def protocol(arguments: options.Arguments) -> int:
     try:
         result = run_protocol_to_file(arguments.name, given, settings, arguments.out)
     except BadInput as error:
-        raise BadInput(_with_flags(str(error))) from None
+        named = re.compile(rf"\b({'|'.join(OPTIONS)})\b")
+        raise BadInput(named.sub(lambda m: options.flag(m[0]), str(error))) from None
     # Curves and histories are in the file only.
     numbers = {key: value for key, value in result.items() if not isinstance(value, list)}
     print(json.dumps(numbers, indent=1))
     for key, demand in result["demands"].items():
         print(_demand_line(key, demand), file=sys.stderr)
     return 0 if result["passed"] else 1
-
-
-def _with_flags(message: str) -> str:
-    """A message with the options called as on the command line."""
-    return re.sub(rf"\b({'|'.join(OPTIONS)})\b", lambda m: options.flag(m[0]), message)
 
 
 def _demand_line(key: str, demand: dict) -> str:
@@ -171,17 +164,16 @@ def convergence() -> None:
 
 
 @options.verb(
-    "simulate one case",
     "slipstitch convergence run --config config.yaml --case m05_f0300_n41_h2 "
     "--out results/convergence/runs/m05_f0300_n41_h2.parquet",
     parent=convergence,
 )
 @options.config_files()
-@options.calibration_file()
+@options.calibration_file
 @option("--case", required=True, help="id of the case, e.g. m05_f0300_n41_h2")
 @option("--out", type=options.PARQUET, required=True, help="Parquet file, one row per frame")
 def run(arguments: options.Arguments) -> None:
-    """Simulate and write; print the cost."""
+    """Simulate one case."""
     from slipstitch.physics.convergence.cases import simulate_case
 
     config = options.configuration(arguments, calibration=arguments.calibration)
@@ -190,18 +182,17 @@ def run(arguments: options.Arguments) -> None:
 
 
 @options.verb(
-    "compare the cases that were run",
     "slipstitch convergence compare --config config.yaml --runs results/convergence/runs "
     "--out results/convergence/convergence.json",
     parent=convergence,
 )
 @options.config_files()
-@options.calibration_file()
+@options.calibration_file
 @option("--runs", required=True, help="folder with the files of the cases")
 @option("--out", type=options.JSON, required=True, help="JSON file")
 @option("--picture", type=options.Output(".png"), help="PNG file")
 def compare(arguments: options.Arguments) -> None:
-    """Compare and write; print one line per fabric, coefficient and kind of refinement."""
+    """Compare the cases that were run."""
     from slipstitch.physics.convergence.study_files import compare_cases
 
     config = options.configuration(arguments, calibration=arguments.calibration)
@@ -222,14 +213,13 @@ def compare(arguments: options.Arguments) -> None:
 
 
 @options.verb(
-    "copy a finished study to the published results and its summary to the package",
     "slipstitch convergence publish --study results/convergence/convergence.json",
     parent=convergence,
 )
 @option("--study", default="results/convergence/convergence.json", show_default=True)
 @option("--out", type=options.FOLDER, default="results/published/convergence", help="folder")
 def publish(arguments: options.Arguments) -> None:
-    """Copy; print where to."""
+    """Copy a finished study to the published results and its summary to the package."""
     from slipstitch.physics.convergence.study_files import publish as publish_study
     from slipstitch.physics.simulation.convergence import MEASURED
 

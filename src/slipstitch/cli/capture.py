@@ -24,11 +24,7 @@ def capture() -> None:
     """Process measurements from a real bench: camera, videos, reference friction."""
 
 
-@options.verb(
-    "calibrate a camera from images or a video of a checkerboard or ChArUco board",
-    CAMERA_EXAMPLE,
-    parent=capture,
-)
+@options.verb(CAMERA_EXAMPLE, parent=capture)
 @argument("views", nargs=-1, type=options.FILE, metavar="[FILE...]", help="images, or a video")
 @option(
     "--from",
@@ -52,15 +48,14 @@ def capture() -> None:
 @option("--out", required=True, type=options.JSON, help="camera file")
 @option("--picture", type=options.PICTURE, help="the residuals (PNG or SVG)")
 def camera(arguments: options.Arguments) -> None:
-    """Calibrate, write the camera file and the picture, print the result in one line."""
+    """Calibrate a camera from images or a video of a checkerboard or ChArUco board."""
     from slipstitch.film.camera_calibration import FloorPlace, camera_to_file
 
     for name, most in (("place_mm", 10_000), ("angle_deg", 360), ("thickness_mm", 1000)):
         value = getattr(arguments, name)
-        if value is None:
-            continue
-        options.require(arguments, ["stage_view"], options.flag(name))
-        for one in value if isinstance(value, tuple) else [value]:
+        if value is not None:
+            options.require(arguments, ["stage_view"], options.flag(name))
+        for one in value if isinstance(value, tuple) else [value or 0.0]:
             if not abs(one) <= most:
                 raise BadInput(f"{options.flag(name)}: {one:g}; must be from {-most} to {most}")
     if bool(arguments.source) == bool(arguments.views):
@@ -68,11 +63,9 @@ def camera(arguments: options.Arguments) -> None:
     if arguments.source:
         options.refuse(arguments, ("picture",), "--from")
     board = _board(arguments)
-    x_mm, y_mm = arguments.place_mm or (0.0, 0.0)
     is_measured = None not in (arguments.place_mm, arguments.thickness_mm)
-    place = FloorPlace(
-        x_mm, y_mm, arguments.angle_deg or 0.0, arguments.thickness_mm or 0.0, is_measured
-    )
+    turned = arguments.angle_deg or 0.0, arguments.thickness_mm or 0.0
+    place = FloorPlace(*(arguments.place_mm or (0.0, 0.0)), *turned, is_measured)
     source, out = arguments.source or list(arguments.views), arguments.out
     line = camera_to_file(source, board, arguments.stage_view, place, out, arguments.picture)
     print(f"{out}: {line}")
@@ -89,13 +82,8 @@ def _board(arguments: options.Arguments):
         options.refuse(arguments, ("dictionary",), "--board checkerboard")
     if not is_board_seen:
         return None
-    return Board.named(
-        arguments.board,
-        arguments.squares,
-        arguments.square_mm,
-        arguments.marker_mm,
-        arguments.dictionary or "DICT_5X5_100",
-    )
+    sizes = arguments.squares, arguments.square_mm, arguments.marker_mm
+    return Board.named(arguments.board, *sizes, arguments.dictionary or "DICT_5X5_100")
 
 
 # As for an alarm: a result, but not a usable one.
@@ -103,7 +91,6 @@ OUTSIDE_EXIT_CODE = 3
 
 
 @options.verb(
-    "check whether a camera sees the track, from a pose in the training range of an instrument",
     "slipstitch capture check camera.json --model results/instrument/by_simulation/seed0 "
     "--picture check.png",
     parent=capture,
@@ -112,7 +99,10 @@ OUTSIDE_EXIT_CODE = 3
 @options.trained_instrument
 @option("--picture", type=options.PICTURE, help="PNG or SVG")
 def check(arguments: options.Arguments) -> int:
-    """Compare, draw, print; exit code 3 if the camera cannot be used."""
+    """Check whether a camera sees the track, from a pose in the training range of an instrument.
+
+    Exit code 3 if the camera cannot be used.
+    """
     from slipstitch.base.page.figures import save_figure
     from slipstitch.base.provenance import provenance_record, recorded_path, start_clock
     from slipstitch.film.measure.camera_check import check_camera, check_figure
@@ -129,7 +119,6 @@ def check(arguments: options.Arguments) -> int:
 
 
 @options.verb(
-    "convert videos of a bench to the format of the dataset: synchronised, rectified, cropped",
     "slipstitch capture ingest bench/captures.csv --config results/config.json "
     "--reference bench/reference.csv --out-dir results/captures/dataset",
     parent=capture,
@@ -145,7 +134,7 @@ def check(arguments: options.Arguments) -> int:
 @option("--reference", type=options.FILE, help="as of capture reference, for rows without mu_ref")
 @option("--out-dir", required=True, type=options.FOLDER, help="folder for the dataset")
 def ingest(arguments: options.Arguments) -> None:
-    """Ingest all videos of the table; say of each where it starts."""
+    """Convert videos of a bench to the format of the dataset: synchronised, rectified, cropped."""
     from slipstitch.base.progress import progress
     from slipstitch.film.ingest_videos import ingest as ingest_table
 
@@ -165,7 +154,6 @@ def ingest(arguments: options.Arguments) -> None:
 
 
 @options.verb(
-    "compute the friction of each fabric and substrate from slip angles on an inclined plane",
     "slipstitch capture reference bench/slip_angles.csv --out bench/reference.csv "
     "--json bench/reference.json --picture bench/reference.svg",
     parent=capture,
@@ -181,12 +169,11 @@ def ingest(arguments: options.Arguments) -> None:
 @option("--json", type=options.JSON, help="JSON with all details")
 @option("--picture", type=options.PICTURE, help="PNG or SVG")
 def reference(arguments: options.Arguments) -> None:
-    """Estimate, write, print one line per pair."""
+    """Compute the friction of each fabric and substrate from slip angles on an inclined plane."""
     from slipstitch.film.slip_angles import reference_to_files
 
-    for pair in reference_to_files(
-        arguments.table, arguments.out, arguments.json, arguments.picture
-    ):
+    files = arguments.table, arguments.out, arguments.json, arguments.picture
+    for pair in reference_to_files(*files):
         print(_pair_line(pair))
 
 
@@ -206,7 +193,6 @@ def _pair_line(pair) -> str:
 
 
 @options.verb(
-    "generate surrogate captures: simulated videos, labelled as surrogates",
     "slipstitch capture surrogate --config results/config.json --film c00_r01 "
     "--out results/captures/bench/c00_r01.mp4",
     parent=capture,
@@ -216,7 +202,7 @@ def _pair_line(pair) -> str:
 @option("--film", metavar="ID", help="instead: simulate and render one video, c00_r01 ...")
 @option("--out", type=options.Output(".mp4"), help="with --film: the video (MP4)")
 def surrogate(arguments: options.Arguments) -> None:
-    """Write the bench's tables, or one film."""
+    """Generate surrogate captures: simulated videos, labelled as surrogates."""
     mode = options.exactly_one(arguments, "bench", "film")
     config = options.configuration(arguments)
     if mode == "bench":
@@ -241,7 +227,6 @@ def surrogate(arguments: options.Arguments) -> None:
 
 
 @options.verb(
-    "import the export of a testing machine as the trace of a case",
     "slipstitch capture trace export.csv --columns time=Zeit,force=Standardkraft --units N "
     "--out cases/linen-on-glass/spring_slider/t00.csv",
     parent=capture,
@@ -261,7 +246,7 @@ def surrogate(arguments: options.Arguments) -> None:
 )
 @option("--out", required=True, type=options.TABLE, help="CSV of a case")
 def trace(arguments: options.Arguments) -> None:
-    """Import, write, say what was read."""
+    """Import the export of a testing machine as the trace of a case."""
     from slipstitch.criticise.trace_import import import_trace
 
     pairs = [part.partition("=") for part in arguments.columns.split(",")]

@@ -9,10 +9,7 @@ from click import argument, option
 from slipstitch.cli import options
 
 
-@options.verb(
-    "find what the friction model gets wrong in a measured case, and why",
-    "slipstitch criticise cases/linen-on-glass --out verdict.json --report verdict.html",
-)
+@options.verb("slipstitch criticise cases/linen-on-glass --out verdict.json --report verdict.html")
 @argument("case", metavar="CASE_DIR", help="folder of one case (docs/criticise-your-data.md)")
 @option("--out", type=options.JSON, required=True, metavar="FILE", help="verdict as JSON")
 @option("--report", type=options.Output(".html", ".md"), help="the verdict as a page, or Markdown")
@@ -40,26 +37,27 @@ from slipstitch.cli import options
     help="simulate the rate of false alarms with so many campaigns (default: state its limit)",
 )
 def criticise(arguments: options.Arguments) -> int:
-    """Criticise one case, or what its design could show; exit code 0 whatever the verdict."""
+    """Find what the friction model gets wrong in a measured case, and why.
+
+    Exit code 0 whatever the verdict.
+    """
     from slipstitch.base.progress import note
     from slipstitch.criticise.case import read_case
     from slipstitch.criticise.criticism_files import Paths, criticise_to_files
 
+    chance = arguments.seed, arguments.replicates
     if arguments.power:
         ignored = ("report", "picture", "model", "resimulate", "validate")
         options.refuse(arguments, ignored, "--power")
         from slipstitch.criticise.criticism_files import power_to_file
 
         case = read_case(arguments.case, with_measurements=False)
-        seed, replicates = arguments.seed, arguments.replicates
-        print(power_to_file(case, seed, replicates, arguments.out, arguments.campaigns))
+        print(power_to_file(case, *chance, arguments.out, arguments.campaigns))
         return 0
     case = read_case(arguments.case)
     note(*case.notes)
     for name in case.ignored_files:
-        print(
-            f"{Path(arguments.case) / name}: not a table of any protocol, ignored", file=sys.stderr
-        )
+        note(f"{Path(arguments.case) / name}: not a table of any protocol, ignored")
     paths = Paths(
         arguments.out,
         page=arguments.report,
@@ -67,8 +65,7 @@ def criticise(arguments: options.Arguments) -> int:
         model=arguments.model,
         resimulation=arguments.resimulate,
     )
-    seed, replicates = arguments.seed, arguments.replicates
-    print(criticise_to_files(case, seed, replicates, paths, arguments.campaigns))
+    print(criticise_to_files(case, *chance, paths, arguments.campaigns))
     if arguments.validate:
         _validate(arguments.out, Path(arguments.validate))
     return 0
@@ -89,15 +86,12 @@ def _validate(out: Path, case: Path) -> None:
     print(score_words(found))
 
 
-@options.verb(
-    "predict a new case with the null and the extended model of a verdict",
-    "slipstitch predict verdict.json cases/linen-next-week --out predictions.csv",
-)
+@options.verb("slipstitch predict verdict.json cases/linen-next-week --out predictions.csv")
 @argument("verdict", metavar="VERDICT", help="JSON written by slipstitch criticise")
 @argument("case", metavar="CASE_DIR", help="folder of the new case, measured or not")
 @option("--out", type=options.TABLE, required=True, metavar="FILE", help="predictions as CSV")
 def predict(arguments: options.Arguments) -> None:
-    """Write one line per run and quantity."""
+    """Predict a new case with the null and the extended model of a verdict."""
     from slipstitch.base.progress import note
     from slipstitch.base.provenance import atomic_path
     from slipstitch.criticise.case import read_case

@@ -15,15 +15,14 @@ from slipstitch.cli import options
 
 
 @options.verb(
-    "select frames of the rendered videos, draw the splits, write the dataset",
     "slipstitch sample --config results/config.json --out-dir results/sample "
-    "results/render/*_v*.parquet",
+    "results/render/*_v*.parquet"
 )
 @options.config_files(one_each=True)
 @option("--out-dir", type=options.FOLDER, required=True, help="folder for the dataset")
 @argument("shards", nargs=-1, required=True, metavar="SHARD...", help="all shards of the grid")
 def sample(arguments: options.Arguments) -> None:
-    """Write the dataset; print its content."""
+    """Select frames of the rendered videos, draw the splits, write the dataset."""
     from slipstitch.dataset.dataset import write_dataset
 
     rows = write_dataset(options.configuration(arguments), arguments.shards, arguments.out_dir)
@@ -36,8 +35,7 @@ def sample(arguments: options.Arguments) -> None:
 
 
 @options.verb(
-    "write the dataset as a folder to distribute: shards, splits, card, metadata, records",
-    "slipstitch release --config results/config.json --results results --out-dir results/release",
+    "slipstitch release --config results/config.json --results results --out-dir results/release"
 )
 @options.config_files("YAML or JSON configuration of the results")
 @option("--results", default="results", show_default=True, help="results folder")
@@ -45,7 +43,7 @@ def sample(arguments: options.Arguments) -> None:
 @option("--project", default=project_folder, help="the workflow's folder (default: the package's)")
 @option("--sign", metavar="KEY", help="SSH key for a signature, as audit --verify checks it")
 def release(arguments: options.Arguments) -> None:
-    """Write the release; print its content and digest."""
+    """Write the dataset as a folder to distribute: shards, splits, card, metadata, records."""
     from slipstitch.dataset.release.assembly import write_release
 
     folders = arguments.results, arguments.out_dir, arguments.project
@@ -57,11 +55,7 @@ def release(arguments: options.Arguments) -> None:
     print(f"SHA-256 of SHA256SUMS, to be published separately: {done.sums_sha256}")
 
 
-@options.verb(
-    "verify a release down to the pixels, trace the origin of a clip, regenerate a clip; without "
-    "--verify or --expect, it finds accidents, not a deliberate forger",
-    "slipstitch audit results/release --json audit.json --page audit.html",
-)
+@options.verb("slipstitch audit results/release --json audit.json --page audit.html")
 @argument("release", type=options.DIR, metavar="RELEASE_DIR", help="as release or publish wrote it")
 @options.config_files("current configuration, to compare with", required=False, one_each=True)
 @option("--expect", metavar="DIGEST", help="SHA-256 of SHA256SUMS as stated by the publisher")
@@ -73,7 +67,11 @@ def release(arguments: options.Arguments) -> None:
 @option("--page", type=options.PAGE, help="write the findings as an HTML page")
 @option("--jobs", type=click.IntRange(1), default=min(8, os.cpu_count() or 1), help="threads")
 def audit(arguments: options.Arguments) -> int:
-    """Return 0 for an intact release or an identical clip, else 1."""
+    """Verify a release down to the pixels, trace the origin of a clip, regenerate a clip.
+
+    Without --verify or --expect, an audit finds accidents, not a deliberate forger. Exit code 0 for
+    an intact release or an identical clip, else 1.
+    """
     from slipstitch.dataset.audit.contents import read_contents
     from slipstitch.dataset.audit.published import INDEX
 
@@ -85,10 +83,8 @@ def audit(arguments: options.Arguments) -> int:
     for path in (arguments.json, arguments.page):
         inside = path and path.resolve().is_relative_to(arguments.release.resolve())
         if inside and not _is_stdout(path):
-            raise BadInput(
-                f"{path}: is inside the release, where it would be an unknown file; "
-                "choose another folder"
-            )
+            problem = "is inside the release, where it would be an unknown file"
+            raise BadInput(f"{path}: {problem}; choose another folder")
     if arguments.expect and not re.fullmatch(r"[0-9a-fA-F]{64}", arguments.expect):
         raise BadInput(f"--expect {arguments.expect}: must be a SHA-256, 64 hexadecimal digits")
     if (arguments.release / INDEX).is_file():
@@ -148,9 +144,8 @@ def _audit(arguments: options.Arguments) -> int:
     from slipstitch.dataset.audit.findings import as_text, write_page
 
     config = options.configuration(arguments) if arguments.config else None
-    audit = audit_release(
-        arguments.release, config, arguments.expect, arguments.jobs, arguments.verify
-    )
+    told = arguments.expect, arguments.jobs, arguments.verify
+    audit = audit_release(arguments.release, config, *told)
     _tell(arguments, audit.as_json(), as_text(audit))
     if arguments.page:
         write_page(audit, arguments.page)

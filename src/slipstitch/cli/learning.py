@@ -18,10 +18,9 @@ DATASET = "folder written by `slipstitch sample`"
 
 
 @options.verb(
-    "train a network that predicts material or friction from the sampled frames",
     "slipstitch train --config results/config.json --dataset results/sample "
     "--network friction_baseline --split by_video --seed 0 "
-    "--out-dir results/train/by_video/friction_baseline/seed0",
+    "--out-dir results/train/by_video/friction_baseline/seed0"
 )
 @options.config_files()
 @option("--dataset", required=True, help=DATASET)
@@ -32,20 +31,16 @@ DATASET = "folder written by `slipstitch sample`"
 @option("--network", required=True, type=NETWORK)
 @option("--material-model", help="friction_conditional: folder of the material_baseline")
 def train(arguments: options.Arguments) -> None:
-    """Train, write the model, print a summary."""
+    """Train a network that predicts material or friction from the sampled frames."""
     from slipstitch.design.grid import classes
     from slipstitch.design.trainable import view_order
     from slipstitch.learning.lrcn_training import train_network
 
     config = options.configuration(arguments)
     card = train_network(
-        config.train,
-        _run(arguments, config),
-        arguments.network,
-        view_order(config),
-        material_model=arguments.material_model,
-        expected_classes=classes(config.grid),
-    )
+        config.train, _run(arguments, config), arguments.network, view_order(config),
+        material_model=arguments.material_model, expected_classes=classes(config.grid),
+    )  # fmt: skip
     print(
         f"{card['network']} {card['split']} seed {card['seed']}: {card['epochs']} epochs on "
         f"{card['training_videos']} videos of {card['training_simulations']} simulations, "
@@ -57,20 +52,13 @@ def _run(arguments: options.Arguments, config):
     """What one training is given."""
     from slipstitch.learning.trainer import Run
 
-    return Run(
-        arguments.dataset,
-        arguments.split,
-        arguments.seed,
-        arguments.out_dir,
-        frames=config.sample.frames,
-        threads=arguments.threads,
-    )
+    places = arguments.dataset, arguments.split, arguments.seed, arguments.out_dir
+    return Run(*places, frames=config.sample.frames, threads=arguments.threads)
 
 
 @options.verb(
-    "train, average and calibrate the measuring instrument for friction and its alarm",
     "slipstitch instrument --config results/config.json --dataset results/sample "
-    "--split by_simulation --seed 0 --out-dir results/instrument/by_simulation/seed0",
+    "--split by_simulation --seed 0 --out-dir results/instrument/by_simulation/seed0"
 )
 @options.config_files(required=False)
 @option("--dataset", help=DATASET)
@@ -87,7 +75,7 @@ def _run(arguments: options.Arguments, config):
     "--readings", metavar="FILE", help="with --recalibrate: its readings of known videos (JSON)"
 )
 def instrument(arguments: options.Arguments) -> None:
-    """Train, average or recalibrate, write, print a summary."""
+    """Train, average and calibrate the measuring instrument for friction and its alarm."""
     mode = options.exactly_one(arguments, "seed", "members", "recalibrate")
     datasets = list(arguments.calibration_datasets)
     if mode == "recalibrate":
@@ -137,10 +125,9 @@ def _error_bars(card: dict[str, Any]) -> str:
 
 
 @options.verb(
-    "evaluate the trained networks: metrics, confusion, predictions",
     "slipstitch evaluate --config results/config.json --dataset results/sample "
     "--models results/train --out results/evaluate/metrics.json "
-    "--predictions results/evaluate/predictions.parquet",
+    "--predictions results/evaluate/predictions.parquet"
 )
 @options.config_files()
 @option("--dataset", required=True, help=DATASET)
@@ -154,7 +141,7 @@ def _error_bars(card: dict[str, Any]) -> str:
 @options.switch("--captures", "the dataset is of captures, from `slipstitch capture ingest`")
 @option("--page", type=options.PAGE, help="with --captures: tables and plots (HTML)")
 def evaluate(arguments: options.Arguments) -> None:
-    """Evaluate, write, print the table."""
+    """Evaluate the trained networks: metrics, confusion, predictions."""
     from slipstitch.film.measure.measuring_bench import shipped_for
     from slipstitch.learning.evaluation.evaluation import write_evaluation
     from slipstitch.learning.evaluation.metrics import test_set_lines
@@ -163,9 +150,8 @@ def evaluate(arguments: options.Arguments) -> None:
     config = options.configuration(arguments)
     if not (arguments.models or arguments.instruments):
         raise BadInput("--models, --instruments or both are required")
-    trained = Trained(
-        arguments.models, arguments.instruments, config.train, config.instrument.seeds
-    )
+    folders = arguments.models, arguments.instruments
+    trained = Trained(*folders, config.train, config.instrument.seeds)
     if arguments.captures:
         _captures(arguments, trained)
         return
@@ -173,13 +159,9 @@ def evaluate(arguments: options.Arguments) -> None:
         raise BadInput("--page requires --captures")
     trained = replace(trained, shipped=shipped_for(config))
     details = arguments.details or arguments.out.with_name("details.json")
-    metrics = write_evaluation(
-        arguments.dataset,
-        trained,
-        (arguments.out, arguments.predictions, details),
-        update=arguments.update,
-        threads=arguments.threads,
-    )
+    how = {"update": arguments.update, "threads": arguments.threads}
+    files = arguments.out, arguments.predictions, details
+    metrics = write_evaluation(arguments.dataset, trained, files, **how)
     print(*test_set_lines(metrics), sep="\n")
 
 
@@ -189,24 +171,18 @@ def _captures(arguments: options.Arguments, trained) -> None:
     from slipstitch.learning.evaluation.metrics import capture_lines
 
     options.refuse(arguments, ("details", "update"), "--captures")
-    metrics = write_captures_evaluation(
-        arguments.dataset,
-        trained,
-        arguments.out,
-        arguments.predictions,
-        arguments.page,
-        threads=arguments.threads,
-    )
+    files = arguments.out, arguments.predictions, arguments.page
+    how = {"threads": arguments.threads}
+    metrics = write_captures_evaluation(arguments.dataset, trained, *files, **how)
     print(*capture_lines(metrics), sep="\n")
 
 
 @options.verb(
-    "ablations: change one training choice at a time, at an equal budget",
     "slipstitch ablate --config results/config.json --dataset results/sample "
     "--question diversity --network lrcn --variant textures --seed 0 "
     "--out results/ablate/diversity/lrcn_textures_seed0.json\n  "
     "slipstitch ablate --config results/config.json --summary results/ablate "
-    "--out results/ablate/ablate.json --page results/ablate/index.html",
+    "--out results/ablate/ablate.json --page results/ablate/index.html"
 )
 @options.config_files()
 @option("--out", type=options.JSON, required=True, help="the result, or the summary (JSON)")
@@ -219,7 +195,7 @@ def _captures(arguments: options.Arguments, trained) -> None:
 @option("--summary", metavar="FOLDER", help="instead: sum up the results in a folder")
 @option("--page", type=options.PAGE, help="with --summary: conclusions, plots and tables (HTML)")
 def ablate(arguments: options.Arguments) -> None:
-    """Train and test one variant or summarise all results; print the outcome."""
+    """Ablations: change one training choice at a time, at an equal budget."""
     one = ("dataset", "question", "network", "variant", "seed")
     config = options.configuration(arguments)
     if arguments.summary:
@@ -245,9 +221,7 @@ def ablate(arguments: options.Arguments) -> None:
     if found["left_out"]:
         print(f"left out: {found['left_out']}")
         return
-    ending = found["failure"] or "learnt"
-    if found["stayed_at_chance"]:
-        ending = "stayed at chance"
+    ending = "stayed at chance" if found["stayed_at_chance"] else found["failure"] or "learnt"
     print(
         f"{case.question} seed {case.seed}: {case.network} {case.variant}: "
         f"{found['training_videos']} videos of {found['training_simulations']} "

@@ -19,25 +19,17 @@ from slipstitch.base.start import use_one_thread
 
 # Verb -> its module, in the order of the chain.
 VERBS = {
-    "doctor": "project",
-    "init": "project",
+    **dict.fromkeys(("doctor", "init"), "project"),
     "calibrate": "calibrate",
     "simulate": "simulate",
     "render": "render",
     "sample": "dataset",
-    "train": "learning",
-    "instrument": "learning",
-    "evaluate": "learning",
-    "ablate": "learning",
-    "report": "project",
-    "status": "project",
-    "publish": "project",
-    "release": "dataset",
-    "audit": "dataset",
+    **dict.fromkeys(("train", "instrument", "evaluate", "ablate"), "learning"),
+    **dict.fromkeys(("report", "status", "publish"), "project"),
+    **dict.fromkeys(("release", "audit"), "dataset"),
     "capture": "capture",
     "measure": "measure",
-    "criticise": "criticise",
-    "predict": "criticise",
+    **dict.fromkeys(("criticise", "predict"), "criticise"),
     "protocol": "calibrate",
 }
 # Only called by the workflow and the Makefile; hidden.

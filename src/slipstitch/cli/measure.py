@@ -12,10 +12,7 @@ ALARM_EXIT_CODE = 3
 BAD_INPUT_EXIT_CODE = 2
 
 
-@options.verb(
-    "measure the friction coefficient in a video, with an error bar, the fabric and an alarm",
-    "slipstitch measure bench/glass_1.mp4 --camera bench/camera.json --out glass_1.html",
-)
+@options.verb("slipstitch measure bench/glass_1.mp4 --camera bench/camera.json --out glass_1.html")
 @argument("videos", nargs=-1, type=options.FILE, metavar="[VIDEO...]", help="repeats of one pair")
 @options.switch("--example", "measure the video that comes with Slipstitch, a simulated one")
 @option("--camera", type=options.FILE, help="file that slipstitch capture camera wrote")
@@ -30,7 +27,7 @@ BAD_INPUT_EXIT_CODE = 2
 @options.switch("--force", "measure, with an alarm, also outside the range of camera poses")
 @options.thread_count(default=2)
 def measure(arguments: options.Arguments) -> int:
-    """Measure, write the page, print the result.
+    """Measure the friction coefficient in a video, with an error bar, the fabric and an alarm.
 
     Exit code 3 if a video raised the alarm, 2 if one of several could not be measured.
     """
@@ -46,27 +43,20 @@ def measure(arguments: options.Arguments) -> int:
     if arguments.example:
         videos, camera = [EXAMPLE_VIDEO], EXAMPLE_CAMERA
     started = start_clock()
-    bench = measuring_bench(
-        camera, arguments.model, arguments.config, threads=arguments.threads, force=arguments.force
-    )
+    how = {"threads": arguments.threads, "force": arguments.force}
+    bench = measuring_bench(camera, arguments.model, arguments.config, **how)
     if arguments.clamp_height_mm is not None:
         bench = replace(bench, clamps=_clamps(arguments, bench))
-    pair = measured_pair(
-        videos, bench, start_s=arguments.start_s, frame_rate_hz=arguments.frame_rate_hz
-    )
+    clock = {"start_s": arguments.start_s, "frame_rate_hz": arguments.frame_rate_hz}
+    pair = measured_pair(videos, bench, **clock)
     # Before the files: should one of them fail, the result is not lost.
     for line in pair.videos[0].lines() if len(videos) == 1 else pair.lines():
         print(line)
     if arguments.example:
         print(known_of_example())
-    write_measurements(
-        pair,
-        [*videos, camera, bench.config_path],
-        started,
-        page_path=arguments.out,
-        numbers_path=arguments.json,
-        table_path=arguments.csv,
-    )
+    files = {"page_path": arguments.out, "numbers_path": arguments.json}
+    read = [*videos, camera, bench.config_path]
+    write_measurements(pair, read, started, **files, table_path=arguments.csv)
     if pair.refused:
         return BAD_INPUT_EXIT_CODE
     return ALARM_EXIT_CODE if any(video.alarm_reason for video in pair.videos) else 0

@@ -1,5 +1,6 @@
 """Verbs as click commands: types of options, options shared by several verbs, checks of all."""
 
+import inspect
 import tempfile
 from collections.abc import Callable, Iterable
 from pathlib import Path
@@ -17,12 +18,8 @@ Arguments = SimpleNamespace
 class Output(click.ParamType):
     """A file to write, by its endings, or a folder: refused before any work if it cannot be."""
 
-    name = "file"
-
     def __init__(self, *endings: str, folder: bool = False, or_stdout: bool = False):
-        self.endings = endings
-        self.folder = folder
-        self.or_stdout = or_stdout
+        self.endings, self.folder, self.or_stdout = endings, folder, or_stdout
         self.name = "dir" if folder else "file"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> Path:
@@ -40,12 +37,9 @@ class Output(click.ParamType):
 
 def _unwritable(path: Path, folder: bool) -> str | None:
     """Why an output path cannot be written; None if it can."""
-    if folder and path.exists() and not path.is_dir():
-        return "is a file; must be a folder"
-    if not folder and path.is_dir():
-        return "is a folder; must be a file"
-    if not folder and path.exists() and not path.is_file():
-        return "is a device or a pipe; must be a file"
+    if path.exists() and (not path.is_dir() if folder else not path.is_file()):
+        found = "file" if folder else "folder" if path.is_dir() else "device or a pipe"
+        return f"is a {found}; must be a {'folder' if folder else 'file'}"
     above = next((parent for parent in path.absolute().parents if parent.exists()), path)
     if not above.is_dir():
         return f"{above} is a file, not a folder"
@@ -68,11 +62,9 @@ PICTURE = Output(".png", ".svg")
 
 def refuse_overwriting(context: click.Context) -> None:
     """Refuse a file to be written that the command reads, or writes under another option, too."""
-    writes = {
-        one.name
-        for one in context.command.params
-        if isinstance(one.type, Output) and not one.type.folder
-    }
+    params = context.command.params
+    outs = (one for one in params if isinstance(one.type, Output) and not one.type.folder)
+    writes = {one.name for one in outs}
     outputs: dict[Path, tuple[str, str]] = {}
     for name in sorted(writes):
         for file, text in _files(context.params.get(name)).items():
@@ -88,9 +80,8 @@ def refuse_overwriting(context: click.Context) -> None:
 def _files(value: object) -> dict[Path, str]:
     """The files that an option's value may name -> the words that name them."""
     several = value if isinstance(value, list | tuple) else [value]
-    return {
-        Path(one).resolve(): str(one) for one in several if isinstance(one, str | Path) and str(one)
-    }
+    named = (one for one in several if isinstance(one, str | Path) and str(one))
+    return {Path(one).resolve(): str(one) for one in named}
 
 
 def refuse(arguments: Arguments, names: Iterable[str], mode: str) -> None:
@@ -155,19 +146,21 @@ def example(words: str) -> str:
     return f"\b\nexample:\n  {words}"
 
 
-def verb(summary: str, shown: str, *, parent: click.Group | None = None, **settings: Any):
-    """Make a verb of a function that takes `Arguments`; its name is the function's.
+def verb(shown: str, *, parent: click.Group | None = None, **settings: Any):
+    """Make a verb of a function that takes `Arguments`: its name and help text are the function's.
 
-    `summary` is the first line of the help text, `shown` its example.
+    `shown` is the example at the end of the help text.
     """
 
     def decorate(run: Callable[[Arguments], int | None]) -> Verb:
+        words = inspect.cleandoc(run.__doc__ or "")
+        summary = " ".join(words.partition("\n\n")[0].split()).rstrip(".")
         command = Verb(
             run.__name__,
             callback=lambda **given: run(Arguments(**given)),
             params=list(reversed(getattr(run, "__click_params__", ()))),
-            help=summary,
-            short_help=summary,
+            help=words,
+            short_help=summary[0].lower() + summary[1:],
             epilog=example(shown),
             context_settings={"max_content_width": 100},
             **settings,
@@ -221,9 +214,9 @@ def configuration(arguments: Arguments, **more: Any):
     return load_config(*arguments.config, **more)
 
 
-def calibration_file():
-    """Declare ``--calibration FILE``."""
-    return click.option("--calibration", metavar="FILE", help="take this calibration's settings")
+calibration_file = click.option(
+    "--calibration", metavar="FILE", help="take this calibration's settings"
+)
 
 
 def thread_count(default: int = 1):

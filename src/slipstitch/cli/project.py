@@ -1,20 +1,22 @@
 """The installation, a workflow folder, the state and the results of a run, the configuration."""
 
+from pathlib import Path
+
 import click
 from click import argument, option
 
 from slipstitch.cli import options
 
 
-@options.verb(
-    "check the installation and how to complete it; estimate the cost of a configuration",
-    "slipstitch doctor --estimate config.yaml config/paper.yaml",
-)
+@options.verb("slipstitch doctor --estimate config.yaml config/paper.yaml")
 @options.several(
     "--estimate", metavar="FILE", help="instead: jobs, CPU time and disk of these configurations"
 )
 def doctor(arguments: options.Arguments) -> int:
-    """Print the findings; return 1 if a requirement is missing."""
+    """Check the installation and how to complete it; estimate the cost of a configuration.
+
+    Exit code 1 if a requirement is missing.
+    """
     if arguments.estimate:
         from slipstitch.config import load_config
         from slipstitch.design.cost import estimate_table
@@ -26,30 +28,25 @@ def doctor(arguments: options.Arguments) -> int:
     return print_findings()
 
 
-@options.verb(
-    "create a workflow folder: Snakefile, rules, configurations, cases",
-    "slipstitch init friction && cd friction && snakemake --cores 2 all",
-)
+@options.verb("slipstitch init friction && cd friction && snakemake --cores 2 all")
 @argument("folder", type=options.FOLDER, help="may exist")
 def init(arguments: options.Arguments) -> None:
-    """Copy the workflow's files and say what to do with them."""
+    """Create a workflow folder: Snakefile, rules, configurations, cases."""
     from slipstitch.base.project import lay_out
 
     lay_out(arguments.folder)
     print(f"{arguments.folder}: config.yaml is the demo; to run it there: snakemake --cores 2 all")
 
 
-@options.verb(
-    "show the state of a run: failures in plain words, jobs done by stage",
-    "slipstitch status --results results",
-)
+@options.verb("slipstitch status --results results")
 @option("--results", default="results", show_default=True, help="results folder")
 @options.several("--config", hidden=True, help="not needed any more")
 @option("--lines", type=click.IntRange(0), default=12, help="lines of a failed job's log: 12")
 def status(arguments: options.Arguments) -> int:
-    """Print; return 1 if the last run failed or was interrupted, else 0."""
-    from pathlib import Path
+    """Show the state of a run: failures in plain words, jobs done by stage.
 
+    Exit code 1 if the last run failed or was interrupted.
+    """
     from slipstitch.base.errors import BadInput
     from slipstitch.report.status import status as state_of
 
@@ -62,41 +59,34 @@ def status(arguments: options.Arguments) -> int:
 
 
 @options.verb(
-    "write the table of ids and seeds",
-    "slipstitch grid --config results/config.json --out results/grid.parquet",
-    hidden=True,
+    "slipstitch grid --config results/config.json --out results/grid.parquet", hidden=True
 )
 @options.config_files()
 @option("--out", type=options.PARQUET, required=True, help="Parquet file")
 def grid(arguments: options.Arguments) -> None:
-    """Write the table."""
+    """Write the table of ids and seeds."""
     from slipstitch.design.grid import write_grid
 
     write_grid(options.configuration(arguments), arguments.out)
 
 
-@options.verb(
-    "print the JSON schema of the configuration",
-    "slipstitch schema > workflow/schemas/config.schema.json",
-    hidden=True,
-)
+@options.verb("slipstitch schema > workflow/schemas/config.schema.json", hidden=True)
 def schema(arguments: options.Arguments) -> None:
-    """Print it."""
+    """Print the JSON schema of the configuration."""
     from slipstitch.config.model import schema_text
 
     print(schema_text(), end="")
 
 
 @options.verb(
-    "write a self-contained HTML report on a results folder",
     "slipstitch report --config results/config.json --results results "
-    "--out results/report/index.html",
+    "--out results/report/index.html"
 )
 @options.config_files()
 @option("--results", required=True, help="results folder; may be incomplete")
 @option("--out", type=options.PAGE, required=True, help="HTML file")
 def report(arguments: options.Arguments) -> None:
-    """Write the page; print its path and the missing stages."""
+    """Write a self-contained HTML report on a results folder."""
     from slipstitch.report.page import write_report
 
     context = write_report(options.configuration(arguments), arguments.results, arguments.out)
@@ -110,17 +100,14 @@ def report(arguments: options.Arguments) -> None:
         "criticise": context["criticism"],
         "release": context["audit"],
     }
-    missing = [name for name, made in there.items() if not made]
+    missing = ", ".join(name for name, made in there.items() if not made)
     size = arguments.out.stat().st_size / 1e6
-    print(
-        f"{arguments.out}: {size:.1f} MB" + (f"; not run: {', '.join(missing)}" if missing else "")
-    )
+    print(f"{arguments.out}: {size:.1f} MB" + (f"; not run: {missing}" if missing else ""))
 
 
 @options.verb(
-    "copy scores, predictions, curves, costs, the model that ships and provenance of a run",
     "slipstitch publish --config results/config.json --results results "
-    "--out-dir results/published/demo",
+    "--out-dir results/published/demo"
 )
 @options.config_files("YAML or JSON configuration that the results were made with")
 @option("--results", default="results", show_default=True, help="folder of the results")
@@ -128,12 +115,11 @@ def report(arguments: options.Arguments) -> None:
 @options.switch("--partial", "publish an unfinished run; the index names what it lacks")
 @options.switch("--update", "keep what the folder has and the results no longer have")
 def publish(arguments: options.Arguments) -> None:
-    """Write the folder and say what it holds."""
+    """Copy scores, predictions, curves, costs, the model that ships and provenance of a run."""
     from slipstitch.report.publishing import publish as publish_results
 
-    config = options.configuration(arguments)
-    index = publish_results(
-        config, arguments.results, arguments.out_dir, arguments.partial, arguments.update
-    )
+    folders = arguments.results, arguments.out_dir
+    how = arguments.partial, arguments.update
+    index = publish_results(options.configuration(arguments), *folders, *how)
     lacking = f", partial: {len(index['missing'])} lacking" if index["partial"] else ""
     print(f"{arguments.out_dir}: {len(index['files'])} files{lacking}")

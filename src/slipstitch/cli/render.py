@@ -19,9 +19,8 @@ MODES = {
 
 
 @options.verb(
-    "render a simulation with every texture; verify images; write previews",
     "slipstitch render --config config.yaml --trajectory results/simulate/m05_f0300_r00.parquet "
-    "--viewpoint v00 --out results/render/m05_f0300_r00_v00.parquet",
+    "--viewpoint v00 --out results/render/m05_f0300_r00_v00.parquet"
 )
 @options.config_files("YAML or JSON configuration (default: built-in)", False, one_each=True)
 @option("--trajectory", type=options.FILE, help="trajectory written by simulate")
@@ -44,7 +43,7 @@ MODES = {
 @option("--out-video", type=options.Output(".mp4"), help="with --preview: video (MP4)")
 @argument("shards", nargs=-1, type=options.FILE, metavar="[SHARDS...]", help="image shards")
 def render(arguments: options.Arguments) -> None:
-    """Preview, verify, compose or render; print one line on each result."""
+    """Render a simulation with every texture; verify images; write previews."""
     runs = {"preview": _preview, "verify": _verify, "from_shading": _compose, "shading": _shade}
     chosen = next((name for name in runs if options.given(arguments, name)), None)
     mode = "rendering" if chosen is None else options.flag(chosen)
@@ -72,14 +71,9 @@ def _verify(arguments: options.Arguments) -> None:
     from slipstitch.base.progress import progress
     from slipstitch.images.verification import verify
 
-    done = verify(
-        options.configuration(arguments),
-        list(arguments.shards),
-        arguments.trajectories,
-        arguments.packs,
-        arguments.out,
-        partial(progress, unit="frame"),
-    )
+    folders = arguments.trajectories, arguments.packs
+    config, shards = options.configuration(arguments), list(arguments.shards)
+    done = verify(config, shards, *folders, arguments.out, partial(progress, unit="frame"))
     for image in done:
         print(f"{image.video} frame {image.frame}: {image.psnr_db:.1f} dB, SSIM {image.ssim:.3f}")
 
@@ -125,8 +119,5 @@ def _render(arguments: options.Arguments) -> None:
 
 def _warn(path: Path, share_inside: float) -> None:
     if share_inside < 1:
-        print(
-            f"{path}: part of the cloth is outside an image: at least {share_inside:.1%} of its "
-            "vertices are inside",
-            file=sys.stderr,
-        )
+        out = f"part of the cloth is outside an image: at least {share_inside:.1%} of its vertices"
+        print(f"{path}: {out} are inside", file=sys.stderr)

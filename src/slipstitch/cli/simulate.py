@@ -8,12 +8,11 @@ from slipstitch.cli import options
 
 
 @options.verb(
-    "simulate a drop-and-drag run of a fabric at a friction coefficient",
-    "slipstitch simulate --material gray-interlock --friction 0.3 --seed 0 --out x.parquet",
+    "slipstitch simulate --material gray-interlock --friction 0.3 --seed 0 --out x.parquet"
 )
 @options.several("--out", type=options.PARQUET, required=True, help="a Parquet file per simulation")
 @options.config_files(required=False)
-@options.calibration_file()
+@options.calibration_file
 @options.several("--simulation", metavar="ID", help="id in the configured grid: m05_f0300_r00 ...")
 @option("--device", help="cpu, cuda, cuda:1 ... (default: compute.device of the configuration)")
 @option(
@@ -27,10 +26,10 @@ from slipstitch.cli import options
 @option("--model", metavar="FILE", help="extended model written by slipstitch criticise --model")
 @option("--set", "overrides", multiple=True, metavar="KEY=VALUE", help="a simulation setting")
 def simulate(arguments: options.Arguments) -> None:
-    """Simulate and write; print one line per result."""
+    """Simulate a drop-and-drag run of a fabric at a friction coefficient."""
     from slipstitch.config.section import FRICTION_MAX
 
-    by_hand = arguments.material is not None and arguments.friction is not None
+    by_hand = None not in (arguments.material, arguments.friction)
     if arguments.simulation:
         options.refuse(arguments, ("material", "friction", "seed"), "--simulation")
         if not arguments.config:
@@ -38,9 +37,8 @@ def simulate(arguments: options.Arguments) -> None:
     elif not by_hand:
         raise BadInput("give either --material and --friction, or --simulation with --config")
     elif not 0 <= arguments.friction <= FRICTION_MAX:
-        raise BadInput(
-            f"--friction {arguments.friction:g}: must lie between 0 and {FRICTION_MAX:g}"
-        )
+        allowed = f"must lie between 0 and {FRICTION_MAX:g}"
+        raise BadInput(f"--friction {arguments.friction:g}: {allowed}")
     config = _configuration(arguments, by_hand)
 
     from slipstitch.physics.simulation.drop_and_drag import DropAndDrag
@@ -65,12 +63,12 @@ def simulate(arguments: options.Arguments) -> None:
             failed.append(str(error))
             continue
         solver, origin = trajectory.metadata["solver"], record.get("handed_out")
+        cost = f"handed out as {origin['file']}" if origin else f"{record['cpu_s']:.1f} CPU s"
         print(
-            f"{path}: {run.material}, friction {run.friction:g}, "
-            f"{len(trajectory.frame)} frames, "
+            f"{path}: {run.material}, friction {run.friction:g}, {len(trajectory.frame)} frames, "
             f"{solver['steps']} steps, {solver['newton_iterations']} iterations, "
             f"{solver['halvings']} halvings, largest residual {solver['largest_residual']:.1e}, "
-            + (f"handed out as {origin['file']}" if origin else f"{record['cpu_s']:.1f} CPU s")
+            f"{cost}"
         )
     if failed:
         raise NotConverged("; ".join(failed))
@@ -97,6 +95,5 @@ def _configuration(arguments: options.Arguments, by_hand: bool):
     # A single run is not sampled: use the smallest number allowed.
     overrides = {"sample": {"sample": {"frames": 2}}} if by_hand else {}
     overrides["--set"] = {"simulation": changes}
-    return load_config(
-        *arguments.config, calibration=arguments.calibration, overrides=overrides, words=True
-    )
+    how = {"calibration": arguments.calibration, "overrides": overrides}
+    return load_config(*arguments.config, **how, words=True)
