@@ -13,16 +13,9 @@ from slipstitch.base.errors import BadInput
 from slipstitch.base.progress import progress
 from slipstitch.base.provenance import provenance_record, read_metadata, start_clock
 from slipstitch.config import Config
+from slipstitch.dataset import videos as video_files
 from slipstitch.dataset.manifest import video_labels, write_manifest
 from slipstitch.dataset.probes import PIXELS, check_nothing_told
-from slipstitch.dataset.videos import (
-    decode,
-    pixels_digest,
-    read_shard,
-    resized,
-    simulations_of,
-    write_frames,
-)
 from slipstitch.design.grid import sampled_frames, simulations
 from slipstitch.design.interpolation import interpolations
 from slipstitch.images.camera import POSE
@@ -50,7 +43,7 @@ def write_dataset(
         of_one = (labels[name], paths_of[name])
         written, images, in_bytes = _write_simulation(config, *of_one, Path(out_dir))
         rows += written
-        first += [resized(image[None], PIXELS)[0] for image in images]
+        first += [video_files.resized(image[None], PIXELS)[0] for image in images]
         sizes += in_bytes
     check_nothing_told(str(out_dir), rows, np.stack(first), np.array(sizes))
     inputs = [Path(out_dir) / f"{name}.parquet" for name in labels]
@@ -59,12 +52,9 @@ def write_dataset(
 
 
 def _record(config: Config, inputs: Iterable, started: tuple[float, float]) -> dict[str, Any]:
+    used = config.model_dump(mode="json", include={"seed", "grid", "render", "sample"})
     return provenance_record(
-        "sample",
-        inputs=inputs,
-        config=config.model_dump(mode="json", include={"seed", "grid", "render", "sample"}),
-        seed=config.seed,
-        started=started,
+        "sample", inputs=inputs, config=used, seed=config.seed, started=started
     )
 
 
@@ -72,7 +62,7 @@ def _shards_of(grid: Mapping[str, Any], shards: Iterable[str]) -> dict[str, list
     """Simulation -> its shards; BadInput if it has none, or a shard is of no simulation."""
     found: dict[str, list[str]] = defaultdict(list)
     for path in shards:
-        for name in simulations_of(path):
+        for name in video_files.simulations_of(path):
             if name not in grid:
                 raise BadInput(f"{path}: simulation {name!r} is not in the configured grid")
             found[name].append(path)
@@ -98,7 +88,7 @@ def _read_simulation(
         metadata = read_metadata(path)
         floor = metadata.get("surroundings") or asdict(MATTE)
         pose = metadata.get("pose") or dict.fromkeys(POSE, 0.0)
-        for (name, texture, view), images in read_shard(path, frames).items():
+        for (name, texture, view), images in video_files.read_shard(path, frames).items():
             if name != simulation:
                 continue
             video = f"{name}_{texture}_{view}"
@@ -108,9 +98,8 @@ def _read_simulation(
                 raise BadInput(f"{path}: video {video} is in more than one shard")
             shown = between.get((name, view))
             if metadata.get("interpolation") != (shown and asdict(shown)):
-                raise BadInput(
-                    f"{path}: interpolated otherwise than configured (render.interpolation)"
-                )
+                what = "interpolated otherwise than configured (render.interpolation)"
+                raise BadInput(f"{path}: {what}")
             videos[video] = images
             looks[view] = {f"pose_{name}": pose[name] for name in POSE}
             looks[view] |= {f"floor_{name}": floor[name] for name in ("reflectance", "roughness")}
@@ -131,28 +120,20 @@ def _write_simulation(
     for video, of_video in labels.items():
         if video not in videos:
             raise BadInput(f"no images of video {video} in {', '.join(paths)}")
+        named = {name: of_video[name] for name in ("video", "simulation", "material", "friction")}
+        named |= {"texture": of_video["texture_id"], "viewpoint": of_video["viewpoint_id"]}
         pixels = []
         for position, image in enumerate(videos[video]):
             where = f"{video} frame {image.frame}"
-            pixels.append(decode(image.png, where, config.render.pixels))
-            images.append(
-                {
-                    **{name: of_video[name] for name in ("video", "simulation", "material")},
-                    "texture": of_video["texture_id"],
-                    "viewpoint": of_video["viewpoint_id"],
-                    "friction": of_video["friction"],
-                    "position": position,
-                    "frame": image.frame,
-                    "time_s": image.time_s,
-                    "stage_x_m": image.stage_x_m,
-                    "image": {"bytes": image.png, "path": f"{video}_{image.frame:04d}.png"},
-                }
-            )
+            pixels.append(video_files.decode(image.png, where, config.render.pixels))
+            at = {"frame": image.frame, "time_s": image.time_s, "stage_x_m": image.stage_x_m}
+            png = {"bytes": image.png, "path": f"{video}_{image.frame:04d}.png"}
+            images.append(named | at | {"position": position, "image": png})
         first.append(pixels[0])
         sizes.append(len(videos[video][0].png))
-        digest = {"pixels_sha256": pixels_digest(np.stack(pixels))}
+        digest = {"pixels_sha256": video_files.pixels_digest(np.stack(pixels))}
         rows.append(of_video | looks[of_video["viewpoint_id"]] | digest)
     path = out_dir / f"{simulation}.parquet"
     record = _record(config, paths, started)
-    write_frames(images, path, record, {"marked_points_m": points})
+    video_files.write_frames(images, path, record, {"marked_points_m": points})
     return rows, first, sizes

@@ -5,6 +5,7 @@ import json
 import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -14,13 +15,9 @@ from slipstitch.base.errors import BadInput, Damaged
 from slipstitch.base.provenance import open_parquet, read_metadata, read_parquet, write_parquet
 from slipstitch.config import Config
 from slipstitch.config.catalogue import VIEWPOINTS
+from slipstitch.design import splits
 from slipstitch.design.grid import films, simulations, textures, viewpoints
 from slipstitch.design.interpolation import filmed_friction, interpolations
-from slipstitch.design.splits import (
-    check_no_simulation_on_both_sides,
-    sides_of_simulations,
-    split_by_video,
-)
 from slipstitch.images.camera import POSE
 
 
@@ -31,24 +28,21 @@ def manifest_sides(config: Config) -> dict[str, tuple[str, str]]:
     (and never train). Simulations of a test-only fabric or coefficient test in both. A video on a
     floor of the second training set has the side of the same video on its own floor.
     """
-    grid = simulations(config)
     trained = [
-        simulation
-        for simulation in grid
+        simulation.id
+        for simulation in simulations(config)
         if "test" not in (simulation.material_role, simulation.friction_role)
     ]
     fractions = (config.sample.validation_fraction, config.sample.test_fraction)
-    of_simulation = sides_of_simulations(config)
+    of_simulation = splits.sides_of_simulations(config)
     views = viewpoints(config)
     main = {view["name"]: view["id"] for view in reversed(views)}  # each name's first id
+    cloths = [texture["id"] for texture in textures(config) if texture["role"] == "train"]
+    seen = [main[view] for view in config.render.viewpoints]
     trainable = [
-        f"{simulation.id}_{texture['id']}_{main[view]}"
-        for simulation in trained
-        for texture in textures(config)
-        for view in config.render.viewpoints
-        if texture["role"] == "train"
+        f"{name}_{texture}_{view}" for name, texture, view in product(trained, cloths, seen)
     ]
-    of_video = split_by_video(trainable, *fractions, seed=config.seed)
+    of_video = splits.split_by_video(trainable, *fractions, seed=config.seed)
     names = {view["id"]: view["name"] for view in views}
     sides = {}
     for (name, view), worn in films(config).items():
@@ -68,8 +62,7 @@ def video_labels(config: Config) -> dict[str, dict[str, Any]]:
     for video, (by_video, by_simulation) in sorted(manifest_sides(config).items()):
         name, texture, view = video.rsplit("_", 2)
         simulation, shown = grid[name], between.get((name, view))
-        of_grid = {key: value for key, value in asdict(simulation).items() if key != "seed"}
-        del of_grid["id"]
+        of_grid = {key: one for key, one in asdict(simulation).items() if key not in ("seed", "id")}
         labels[video] = {
             "video": video,
             "simulation": name,
@@ -122,12 +115,9 @@ def write_manifest(
     rows: Sequence[dict[str, Any]], out_dir: str | os.PathLike, record: dict[str, Any]
 ) -> None:
     """Write the rows of all videos, with the digest of the dataset."""
-    write_parquet(
-        pa.Table.from_pylist(list(rows), schema=MANIFEST_SCHEMA),
-        Path(out_dir) / MANIFEST,
-        {"dataset_digest": dataset_digest(rows)},
-        record,
-    )
+    table = pa.Table.from_pylist(list(rows), schema=MANIFEST_SCHEMA)
+    notes = {"dataset_digest": dataset_digest(rows)}
+    write_parquet(table, Path(out_dir) / MANIFEST, notes, record)
 
 
 def read_manifest(dataset: str | os.PathLike) -> tuple[list[dict[str, Any]], str]:
@@ -141,7 +131,7 @@ def read_manifest(dataset: str | os.PathLike) -> tuple[list[dict[str, Any]], str
     if not rows:
         raise BadInput(f"{path}: contains no videos")
     try:
-        check_no_simulation_on_both_sides(
+        splits.check_no_simulation_on_both_sides(
             [row["simulation"] for row in rows], [row["split_by_simulation"] for row in rows]
         )
     except BadInput as problem:

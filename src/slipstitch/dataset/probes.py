@@ -2,10 +2,8 @@
 
 Before the cloth touches the floor nothing in a video depends on friction. A probe is fitted to the
 training videos and asked of the test videos; if it is right more often than chance, something else
-than contact gives the coefficient away, and every network's score may rest on that.
-
-`sample` asks the linear probes, before any training; `evaluation.test_sets` asks small
-networks as well, which need torch and a hundred times as long.
+than contact gives the coefficient away. `sample` asks the linear probes, before any training;
+`evaluation.test_sets` asks small networks as well, which need torch and a hundred times as long.
 """
 
 from collections.abc import Mapping, Sequence
@@ -59,10 +57,9 @@ def linear_answers(features: np.ndarray, labels: np.ndarray, sides: np.ndarray) 
     found = []
     for ridge in _RIDGES:
         whole = gram + ridge * len(known) * np.eye(len(gram))
-        if dual:
-            weights = known.T @ solve(whole, targets - mean, assume_a="pos")
-        else:
-            weights = solve(whole, known.T @ (targets - mean), assume_a="pos")
+        seen = targets - mean if dual else known.T @ (targets - mean)
+        solved = solve(whole, seen, assume_a="pos")
+        weights = known.T @ solved if dual else solved
         answers = (features @ weights + mean).argmax(1)
         right = (answers == labels)[validation].mean() if validation.any() else 0.0
         found.append((right, answers))

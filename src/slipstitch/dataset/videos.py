@@ -50,10 +50,8 @@ def decode(png: bytes, where: str, pixels: int | None = None) -> np.ndarray:
         raise BadInput(f"{where}: damaged image: {error}") from None
     side = pixels or array.shape[0]
     if mode != "RGB" or array.shape != (side, side, 3):
-        raise BadInput(
-            f"{where}: image is {'x'.join(map(str, array.shape[1::-1]))} {mode}; must be "
-            f"{side}x{side} RGB"
-        )
+        size = "x".join(map(str, array.shape[1::-1]))
+        raise BadInput(f"{where}: image is {size} {mode}; must be {side}x{side} RGB")
     return array
 
 
@@ -71,57 +69,46 @@ def read_shard(path: str | os.PathLike, frames: np.ndarray) -> dict[tuple[str, s
     BadInput if the file is damaged, a wanted frame is missing or there twice, or an image is empty.
     """
     table = read_parquet(path, COLUMNS)
-    wanted = set(frames.tolist())
+    wanted = frames.tolist()
     videos: dict[tuple[str, str, str], dict[int, Frame]] = {}
     for batch in table.to_batches(max_chunksize=1024):
         for row in batch.to_pylist():
             video = (row["simulation"], row["texture"], row["viewpoint"])
-            kept = videos.setdefault(video, {})
-            number = row["frame"]
+            kept, number = videos.setdefault(video, {}), row["frame"]
             if number not in wanted:
                 continue
+            where = f"{path}: {'_'.join(video)}"
             if number in kept:
-                raise BadInput(f"{path}: {'_'.join(video)} has frame {number} twice")
-            png = (row["image"] or {}).get("bytes")
-            if not png:
-                raise BadInput(f"{path}: {'_'.join(video)} frame {number} has no image")
+                raise BadInput(f"{where} has frame {number} twice")
+            if not (png := (row["image"] or {}).get("bytes")):
+                raise BadInput(f"{where} frame {number} has no image")
             kept[number] = Frame(number, row["time_s"], row["stage_x_m"], png)
     for video, kept in videos.items():
-        missing = [number for number in frames.tolist() if number not in kept]
-        if missing:
+        if missing := [number for number in wanted if number not in kept]:
             raise BadInput(
                 f"{path}: {'_'.join(video)} lacks frame {missing[0]} "
-                f"({len(missing)} of the {len(frames)} sampled frames missing)"
+                f"({len(missing)} of the {len(wanted)} sampled frames missing)"
             )
-    return {video: [kept[n] for n in frames.tolist()] for video, kept in videos.items()}
+    return {video: [kept[number] for number in wanted] for video, kept in videos.items()}
 
 
 IMAGE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
-FRAMES_SCHEMA = pa.schema(
-    [
-        *((name, pa.string()) for name in ("video", "simulation", "texture", "viewpoint")),
-        *(("material", pa.string()), ("friction", pa.float64())),
-        *((name, pa.int32()) for name in ("position", "frame")),
-        *((name, pa.float64()) for name in ("time_s", "stage_x_m")),
-        ("image", IMAGE),
-    ]
+_COLUMNS: dict[str, pa.DataType] = {
+    **dict.fromkeys(("video", "simulation", "texture", "viewpoint", "material"), pa.string()),
+    "friction": pa.float64(),
+    **dict.fromkeys(("position", "frame"), pa.int32()),
+    **dict.fromkeys(("time_s", "stage_x_m"), pa.float64()),
+    "image": IMAGE,
+}
+_KINDS = {pa.string(): "string", pa.float64(): "float64", pa.int32(): "int32"}
+_FEATURES = {
+    name: {"_type": "Image"} if kind == IMAGE else {"dtype": _KINDS[kind], "_type": "Value"}
+    for name, kind in _COLUMNS.items()
+}
+#: Of the images, with the metadata by which Hugging Face datasets shows `image` as images.
+DATASET_SCHEMA = pa.schema(
+    _COLUMNS, metadata={"huggingface": json.dumps({"info": {"features": _FEATURES}})}
 )
-
-
-def _hugging_face(schema: pa.Schema) -> pa.Schema:
-    """The schema with the metadata by which Hugging Face datasets shows `image` as images."""
-    kinds = {pa.string(): "string", pa.float64(): "float64", pa.int32(): "int32"}
-    features = {
-        field.name: {"_type": "Image"}
-        if field.type == IMAGE
-        else {"dtype": kinds[field.type], "_type": "Value"}
-        for field in schema
-    }
-    return schema.with_metadata({"huggingface": json.dumps({"info": {"features": features}})})
-
-
-#: As written: what `_hugging_face` makes of `FRAMES_SCHEMA`.
-DATASET_SCHEMA = _hugging_face(FRAMES_SCHEMA)
 
 
 def pixels_digest(video: np.ndarray) -> str:
@@ -135,14 +122,10 @@ def write_frames(
     record: dict[str, Any],
     metadata: dict[str, Any] | None = None,
 ) -> None:
-    """Write the images of a simulation or capture, rows as in `FRAMES_SCHEMA`."""
-    write_parquet(
-        pa.Table.from_pylist(list(images), schema=DATASET_SCHEMA),
-        path,
-        metadata or {},
-        record,
-        compression="none",  # PNG is compressed already
-    )
+    """Write the images of a simulation or capture, rows as in `DATASET_SCHEMA`."""
+    table = pa.Table.from_pylist(list(images), schema=DATASET_SCHEMA)
+    # PNG is compressed already.
+    write_parquet(table, path, metadata or {}, record, compression="none")
 
 
 def read_frames(
@@ -227,13 +210,12 @@ def read_videos(
                 where = f"{path}: {video} position {position}"
                 found[video].append(decode(png, where, rendered))
         marked = read_metadata(path).get("marked_points_m", {})
-        for video, index in place.items():
-            row = rows[index]
-            if row["file"] != file:
-                continue
-            whole = np.stack(found[video] or [np.empty((rendered, rendered, 3), np.uint8)])
+        for row in (row for row in rows if row["file"] == file):
+            index = place[row["video"]]
+            whole = np.stack(found[row["video"]] or [np.empty((rendered, rendered, 3), np.uint8)])
             if pixels_digest(whole) != row["pixels_sha256"]:
-                raise Damaged(path, f"{video} was altered: its pixels do not match the manifest")
+                what = f"{row['video']} was altered: its pixels do not match the manifest"
+                raise Damaged(path, what)
             seen = whole[kept]
             array[index] = seen if side == rendered else resized(seen, side)
             if row["viewpoint_id"] in marked:

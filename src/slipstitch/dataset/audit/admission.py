@@ -79,30 +79,24 @@ def check_entries(folder: Path) -> None:
                     waiting.append((Path(entry.path), depth + 1))
                     continue
                 if not stat.S_ISREG(status.st_mode):
-                    kind = next(
-                        (k for test, k in _KINDS.items() if test(status.st_mode)), "no file"
-                    )
+                    kinds = (kind for test, kind in _KINDS.items() if test(status.st_mode))
                     raise BadInput(
-                        f"{folder}: {name} is {kind}; a release contains only regular files (for "
-                        "a folder of links, copy it with cp -rL)"
+                        f"{folder}: {name} is {next(kinds, 'no file')}; a release contains only "
+                        "regular files (for a folder of links, copy it with cp -rL)"
                     )
-                total += _checked_size(folder, name, status)
+                total += _checked_size(f"{folder}: {name}", name, status)
     if total > BYTES_MAX:
-        raise BadInput(
-            f"{folder}: {total} bytes besides the shards; at most {BYTES_MAX} are allowed"
-        )
+        raise BadInput(f"{folder}: {total} bytes besides the shards; at most {BYTES_MAX} allowed")
 
 
-def _checked_size(folder: Path, name: str, status: os.stat_result) -> int:
+def _checked_size(where: str, name: str, status: os.stat_result) -> int:
     """Bytes of a file that is no shard; 0 of a shard."""
     if status.st_size > FILE_BYTES_MAX and 4 * 512 * status.st_blocks < status.st_size:
-        raise BadInput(f"{folder}: {name}: {status.st_size} bytes, mostly a hole (sparse file)")
+        raise BadInput(f"{where}: {status.st_size} bytes, mostly a hole (sparse file)")
     if name.startswith((f"{FOLDER}/", f"{SIMULATIONS}/")):
         return 0
     if status.st_size > FILE_BYTES_MAX:
-        raise BadInput(
-            f"{folder}: {name}: {status.st_size} bytes; at most {FILE_BYTES_MAX} are allowed"
-        )
+        raise BadInput(f"{where}: {status.st_size} bytes; at most {FILE_BYTES_MAX} are allowed")
     return status.st_size
 
 
@@ -150,14 +144,11 @@ def text_columns(path: Path) -> list[str]:
 def short_texts(batch: Any, path: Path) -> None:
     """Refuse texts, read as dictionaries, that grow when they are written out row by row."""
     for name, column in zip(batch.schema.names, batch.columns, strict=True):
-        chunks = getattr(column, "chunks", [column])
-        for chunk in chunks:
-            longest = (
-                pc.max(pc.binary_length(chunk.dictionary)).as_py()
-                if hasattr(chunk, "dictionary")
-                else 0
-            )
-            if (longest or 0) > TEXT_BYTES_MAX:
+        for chunk in getattr(column, "chunks", [column]):
+            if not hasattr(chunk, "dictionary"):
+                continue
+            longest = pc.max(pc.binary_length(chunk.dictionary)).as_py() or 0
+            if longest > TEXT_BYTES_MAX:
                 raise Harmful(f"{path}: a text of {longest} bytes in {name}; not read")
 
 
@@ -172,14 +163,13 @@ def limited_memory() -> Iterator[None]:
         yield  # not Linux
         return
     limit = now + MEMORY_BYTES
-    if soft != resource.RLIM_INFINITY:
-        limit = min(limit, soft)
-    resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
+    resource.setrlimit(
+        resource.RLIMIT_DATA, (limit if soft == resource.RLIM_INFINITY else min(limit, soft), hard)
+    )
     try:
         yield
     except MemoryError:
-        raise BadInput(
-            f"reading it takes more than {MEMORY_BYTES // 2**20} MiB; not a release"
-        ) from None
+        most = f"{MEMORY_BYTES // 2**20} MiB"
+        raise BadInput(f"reading it takes more than {most}; not a release") from None
     finally:
         resource.setrlimit(resource.RLIMIT_DATA, (soft, hard))

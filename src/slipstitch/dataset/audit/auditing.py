@@ -26,18 +26,10 @@ from slipstitch.dataset.audit.contents import Contents, read_contents
 from slipstitch.dataset.audit.files import check_files, decoded_shard
 from slipstitch.dataset.audit.findings import NO_FORGER, Audit, Kind, sorted_findings
 from slipstitch.dataset.audit.lineage_check import check_commits, check_lineage, check_staleness
+from slipstitch.dataset.release import records
 from slipstitch.dataset.release.checksums import SIGNATURE, SUMS, verify
 from slipstitch.dataset.release.currency import CALIBRATION, current_digest
 from slipstitch.dataset.release.manifest import PREFIX
-from slipstitch.dataset.release.records import (
-    Artefact,
-    carried_file,
-    is_carried,
-    is_ours,
-    record_file,
-    recorded_name,
-    rows_digest,
-)
 from slipstitch.dataset.videos import decode, read_shard
 
 _NO_LABELS = ("video", "pixels_sha256", "shard", "first_row", "frames", "pixels")
@@ -58,23 +50,17 @@ def explain(contents: Contents, clip: str) -> str:
     lines = [f"{clip}, a clip of {contents.name}", *_clip(contents, row)]
     for path in contents.behind(row):
         artefact = contents.artefacts.get(path)
-        if artefact is None:
-            lines += ["", f"{path}: NO RECORD, the chain is broken here"]
-        else:
-            lines += ["", *_artefact(contents, artefact, row)]
-    lines += ["", *_fabric(contents, row)]
-    return "\n".join(lines)
+        broken = [f"{path}: NO RECORD, the chain is broken here"]
+        lines += ["", *(_artefact(contents, artefact, row) if artefact else broken)]
+    return "\n".join([*lines, "", *_fabric(contents, row)])
 
 
 def _clip(contents: Contents, row: Mapping[str, Any]) -> list[str]:
     shard = contents.folder / row["shard"]
-    if not shard.is_file():
-        pixels = "the shard is missing"
-    else:
-        found = decoded_shard(shard).pixels.get(row["video"])
-        same = found == row["pixels_sha256"]
-        pixels = f"{'equal' if same else 'NOT equal'} to the decoded pixels"
-        pixels += "" if same else f" ({found})"
+    found = decoded_shard(shard).pixels.get(row["video"]) if shard.is_file() else "no shard"
+    pixels = "equal to the decoded pixels"
+    if found != row["pixels_sha256"]:
+        pixels = f"NOT equal to the decoded pixels ({found})"
     labels, sides = [], []
     for name, value in row.items():
         if name.startswith(PREFIX):
@@ -91,16 +77,17 @@ def _clip(contents: Contents, row: Mapping[str, Any]) -> list[str]:
     ]
 
 
-def _artefact(contents: Contents, artefact: Artefact, row: Mapping) -> list[str]:
+def _artefact(contents: Contents, artefact: records.Artefact, row: Mapping) -> list[str]:
     record = artefact.provenance
     lines = [
         artefact.path,
-        f"  record   {record_file(artefact.path)}",
+        f"  record   {records.record_file(artefact.path)}",
         f"  SHA-256  {artefact.sha256}",
     ]
-    if is_carried(artefact) and (contents.folder / carried_file(artefact.path)).is_file():
-        lines.append(f"  carried  {carried_file(artefact.path)}")
-    if record is None or not is_ours(artefact.path):
+    carried = records.carried_file(artefact.path)
+    if records.is_carried(artefact) and (contents.folder / carried).is_file():
+        lines.append(f"  carried  {carried}")
+    if record is None or not records.is_ours(artefact.path):
         return [*lines, "  external input: not made by a stage"]
     now = current_digest(artefact.stage)
     code = "the current code" if now == record["code_digest"] else "NOT the current code"
@@ -131,9 +118,9 @@ def _artefact(contents: Contents, artefact: Artefact, row: Mapping) -> list[str]
     return lines
 
 
-def _checks(contents: Contents, artefact: Artefact) -> str:
+def _checks(contents: Contents, artefact: records.Artefact) -> str:
     try:
-        path = contents.folder / carried_file(artefact.path)
+        path = contents.folder / records.carried_file(artefact.path)
         checks = json.loads(path.read_text(encoding="utf-8"))["checks"]
         worst = max(checks, key=lambda check: check["error"] / (check["demand"] or 1.0))
     except (OSError, ValueError, KeyError, TypeError):
@@ -203,14 +190,9 @@ def audit_release(
         "wall_s": round(time.perf_counter() - wall, 2),
         "cpu_s": round(time.process_time() - cpu, 2),
     }
-    return Audit(
-        release=contents.name,
-        sums_sha256=contents.sums_sha256,
-        numbers=numbers | cost,
-        findings=sorted_findings(contents.findings),
-        notes=contents.remarks,
-        clips=contents.clips,
-    )
+    findings = sorted_findings(contents.findings)
+    about = contents.name, contents.sums_sha256, numbers | cost
+    return Audit(*about, findings, contents.remarks, contents.clips)
 
 
 # How and beside what it ran; the trajectory's digest is of its times too.
@@ -254,8 +236,8 @@ def _configuration(contents: Contents, config: Config, folder: Path) -> Path:
     files = {simulation["model"], render["camera"], *config.render.texture_files()} - {None}
 
     def taken_along(name: str | None) -> str | None:
-        path = recorded_name(name, contents.artefacts) if name and name in files else None
-        return str((contents.folder / carried_file(path)).resolve()) if path else name
+        path = records.recorded_name(name, contents.artefacts) if name and name in files else None
+        return str((contents.folder / records.carried_file(path)).resolve()) if path else name
 
     for section, key in ((simulation, "model"), (render, "camera")):
         section[key] = taken_along(section[key])
@@ -283,17 +265,17 @@ def rebuild(contents: Contents, clip: str) -> Rebuilt:
         # Of an interpolated film all simulations that its cloth is made of.
         trajectories = {one.path: folder / Path(one.path).name for one in simulated}
         for path, trajectory in trajectories.items():
-            carried = contents.folder / carried_file(path)
+            carried = contents.folder / records.carried_file(path)
             if carried.is_file():  # filmed again from the simulation that the release carries
                 shutil.copyfile(carried, trajectory)
                 continue
             _run(
                 "simulate", "--config", str(config), "--simulation", trajectory.stem,
-                "--calibration", str(contents.folder / carried_file(calibrated[0].path)),
+                "--calibration", str(contents.folder / records.carried_file(calibrated[0].path)),
                 "--out", str(trajectory),
             )  # fmt: skip
         same_motion = all(
-            rows_digest(trajectories[one.path]) == one.rows_sha256 for one in simulated
+            records.rows_digest(trajectories[one.path]) == one.rows_sha256 for one in simulated
         )
         _run(
             "render", "--config", str(config),
@@ -319,7 +301,7 @@ def rebuild(contents: Contents, clip: str) -> Rebuilt:
     return compare(clip, released, again, same_motion, tuple(differing))
 
 
-def _differing(recorded: Artefact, made: Path) -> list[str]:
+def _differing(recorded: records.Artefact, made: Path) -> list[str]:
     """Entries of a record's metadata that a file made again has otherwise."""
     then, now = (_comparable(metadata) for metadata in (recorded.metadata, read_metadata(made)))
     return [f"{name} of {recorded.path}" for name, value in then.items() if now.get(name) != value]

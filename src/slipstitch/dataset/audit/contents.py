@@ -17,31 +17,12 @@ import pyarrow.parquet as pq
 from slipstitch.base.errors import BadInput, first_line
 from slipstitch.base.provenance import file_digest, read_metadata
 from slipstitch.config import Config, load_config
-from slipstitch.dataset.audit.admission import (
-    UNUSABLE,
-    Harmful,
-    check_entries,
-    check_nesting,
-    check_parquet,
-    short_texts,
-    text_columns,
-)
+from slipstitch.dataset.audit import admission
 from slipstitch.dataset.audit.findings import Finding, Kind
+from slipstitch.dataset.release import records
 from slipstitch.dataset.release.checksums import SUMS, read_sums
 from slipstitch.dataset.release.currency import calibrated_by
 from slipstitch.dataset.release.manifest import MANIFEST
-from slipstitch.dataset.release.records import (
-    CONFIG,
-    RECORD_SUFFIX,
-    RECORDS,
-    RELEASE_RECORD,
-    VERIFICATION,
-    Artefact,
-    carried_file,
-    is_ours,
-    read_record,
-    record_file,
-)
 
 SAMPLED_MANIFEST = f"results/sample/{MANIFEST}"
 FRAMES_MAX = 1_000_000
@@ -67,7 +48,7 @@ class Contents:
     sums: dict[str, str]
     rows: list[dict[str, Any]] = field(default_factory=list)
     notes: dict[str, Any] = field(default_factory=dict)
-    artefacts: dict[str, Artefact] = field(default_factory=dict)
+    artefacts: dict[str, records.Artefact] = field(default_factory=dict)
     release: dict[str, Any] = field(default_factory=dict)
     config: Config | None = None
     findings: list[Finding] = field(default_factory=list)
@@ -98,7 +79,9 @@ class Contents:
         settings: dict[str, dict[str, Any]] = {}
         for path in self.artefacts:
             with contextlib.suppress(BadInput):
-                settings |= calibrated_by([path], lambda name: self.folder / carried_file(name))
+                settings |= calibrated_by(
+                    [path], lambda name: self.folder / records.carried_file(name)
+                )
         return settings
 
     def as_listed(self, name: str) -> bool:
@@ -116,9 +99,11 @@ class Contents:
         """SHA-256 of ``SHA256SUMS``."""
         return hashlib.sha256((self.folder / SUMS).read_bytes()).hexdigest()
 
-    def made(self) -> Iterator[Artefact]:
+    def made(self) -> Iterator[records.Artefact]:
         """The artefacts that stages wrote."""
-        return (one for path, one in self.artefacts.items() if is_ours(path) and one.provenance)
+        return (
+            one for path, one in self.artefacts.items() if records.is_ours(path) and one.provenance
+        )
 
     def inputs(self, path: str, viewpoint: str | None) -> list[str]:
         """Paths of what `path` was made from, as far as a clip of `viewpoint` is concerned."""
@@ -127,25 +112,25 @@ class Contents:
         for name in artefact.inputs if artefact else ():
             behind = self.artefacts.get(name)
             of_view = behind.metadata.get("viewpoint") if behind else None
-            other = isinstance(of_view, dict) and of_view.get("id") not in (None, viewpoint)
-            if viewpoint is None or not other:
+            shown = of_view.get("id") if isinstance(of_view, dict) else None
+            if viewpoint is None or shown in (None, viewpoint):
                 wanted.append(name)
         return wanted
 
     def behind(self, row: Mapping[str, Any]) -> tuple[str, ...]:
         """Artefacts behind a clip, the nearest first; also those that have no record."""
-        start, viewpoint = f"results/sample/{row['sampled_file']}", row.get("viewpoint_id")
-        if (start, viewpoint) not in self._chains:
-            found = [start]
+        key = f"results/sample/{row['sampled_file']}", row.get("viewpoint_id")
+        if key not in self._chains:
+            found = [key[0]]
             for path in found:  # grows
-                found += [name for name in self.inputs(path, viewpoint) if name not in found]
-            self._chains[start, viewpoint] = tuple(found)
-        return self._chains[start, viewpoint]
+                found += [name for name in self.inputs(path, key[1]) if name not in found]
+            self._chains[key] = tuple(found)
+        return self._chains[key]
 
-    def of_stage(self, row: Mapping[str, Any], stage: str) -> list[Artefact]:
+    def of_stage(self, row: Mapping[str, Any], stage: str) -> list[records.Artefact]:
         """Records of one stage behind a clip."""
-        records = (self.artefacts.get(path) for path in self.behind(row))
-        return [record for record in records if record is not None and record.stage == stage]
+        found = map(self.artefacts.get, self.behind(row))
+        return [one for one in found if one is not None and one.stage == stage]
 
     @cached_property
     def _clips_of(self) -> dict[str, tuple[str, ...]]:
@@ -157,9 +142,9 @@ class Contents:
             for path in self.behind(row):
                 found[path].append(row["video"])
         known = {*self.artefacts, *found}
-        found |= dict.fromkeys((SAMPLED_MANIFEST, VERIFICATION), self.clips)
+        found |= dict.fromkeys((SAMPLED_MANIFEST, records.VERIFICATION), self.clips)
         for path in known:
-            found[record_file(path)] = found[carried_file(path)] = found[path]
+            found[records.record_file(path)] = found[records.carried_file(path)] = found[path]
         return {path: tuple(clips) for path, clips in (shards | found).items()}
 
     def clips_of(self, name: str) -> tuple[str, ...]:
@@ -172,16 +157,20 @@ def read_contents(folder: Path) -> Contents:
     if not folder.is_dir():
         raise BadInput(f"{folder}: no such folder")
     if os.path.lexists(folder / SUMS):
-        check_entries(folder)
-        check_nesting(folder)
+        admission.check_entries(folder)
+        admission.check_nesting(folder)
     contents = Contents(folder, dict(read_sums(folder)))
-    readers = {MANIFEST: _read_manifest, RELEASE_RECORD: _read_release, CONFIG: _read_config}
+    readers = {
+        MANIFEST: _read_manifest,
+        records.RELEASE_RECORD: _read_release,
+        records.CONFIG: _read_config,
+    }
     for name in readers:
         if name not in contents.sums:
             hint = _OF_AN_INSTRUMENT if "instrument.safetensors" in contents.sums else ""
             raise BadInput(f"{folder}: not a release of Slipstitch: {SUMS} names no {name}{hint}")
     for name in sorted(contents.sums):
-        if name.startswith(f"{RECORDS}/") and name.endswith(RECORD_SUFFIX):
+        if name.startswith(f"{records.RECORDS}/") and name.endswith(records.RECORD_SUFFIX):
             readers[name] = _read_artefact
     for name, read in readers.items():
         if (folder / name).is_file():  # else the files' own check says so
@@ -194,25 +183,25 @@ def _read(contents: Contents, name: str, read) -> None:
     try:
         read(contents, contents.folder / name)
     except BadInput as error:
-        if isinstance(error, Harmful) and contents.as_listed(name):
+        if isinstance(error, admission.Harmful) and contents.as_listed(name):
             raise
         contents.broken(name, str(error).removeprefix(f"{contents.folder}/"))
     except RecursionError:
         raise BadInput(f"{contents.folder / name}: nested too deeply; not read") from None
-    except UNUSABLE as error:
+    except admission.UNUSABLE as error:
         contents.broken(name, f"cannot be read: {first_line(error)}")
 
 
 def _read_manifest(contents: Contents, path: Path) -> None:
-    if odd := check_parquet(path, images=False):
+    if odd := admission.check_parquet(path, images=False):
         contents.broken(MANIFEST, odd)
     schema = pq.read_schema(path)
     for column, kind in NEEDED_COLUMNS.items():
         if column not in schema.names or schema.field(column).type != kind:
             raise ValueError(f"no column {column!r} of type {kind}")
     contents.notes = read_metadata(schema)
-    table = pq.read_table(path, read_dictionary=text_columns(path))
-    short_texts(table, path)
+    table = pq.read_table(path, read_dictionary=admission.text_columns(path))
+    admission.short_texts(table, path)
     rows = table.to_pylist()
     if any(row[column] is None for row in rows for column in NEEDED_COLUMNS):
         raise ValueError("missing value")
@@ -235,7 +224,7 @@ def _read_config(contents: Contents, path: Path) -> None:
 
 
 def _read_artefact(contents: Contents, path: Path) -> None:
-    artefact = read_record(path)
-    if record_file(artefact.path) != path.relative_to(contents.folder).as_posix():
+    artefact = records.read_record(path)
+    if records.record_file(artefact.path) != path.relative_to(contents.folder).as_posix():
         raise ValueError(f"the record is of {artefact.path}")
     contents.artefacts[artefact.path] = artefact

@@ -14,25 +14,16 @@ import pyarrow.parquet as pq
 
 from slipstitch.base.errors import BadInput, first_line
 from slipstitch.base.provenance import file_digest
-from slipstitch.dataset.audit.admission import (
-    UNUSABLE,
-    Harmful,
-    check_parquet,
-    short_texts,
-    text_columns,
-)
+from slipstitch.dataset.audit import admission
 from slipstitch.dataset.audit.contents import Contents
 from slipstitch.dataset.audit.findings import Kind, not_part
 from slipstitch.dataset.release.checksums import files_below
-from slipstitch.dataset.release.shards import FOLDER, shard_schema
+from slipstitch.dataset.release.shards import FOLDER
 from slipstitch.dataset.videos import DATASET_SCHEMA, decode
 
+_LABELS = ("simulation", "material", "friction", "texture_id", "viewpoint_id")
 # Labels of an image that its video's row of the manifest repeats: column there -> column here.
-SHARED = {
-    **{name: name for name in ("simulation", "material", "friction")},
-    "texture_id": "texture",
-    "viewpoint_id": "viewpoint",
-}
+SHARED = {name: name.removesuffix("_id") for name in _LABELS}
 _BATCH_ROWS = 256
 _BUFFER_BYTES = 2**20
 _GROWS = "takes far more memory than it has bytes; not read"
@@ -54,10 +45,10 @@ class Shard:
 
 def _batches(path: Path) -> Iterator[pa.RecordBatch]:
     # Texts as dictionaries: a long one that every row repeats is held once.
-    texts = text_columns(path)
+    texts = admission.text_columns(path)
     with pq.ParquetFile(path, read_dictionary=texts, buffer_size=_BUFFER_BYTES) as file:
         for batch in file.iter_batches(batch_size=_BATCH_ROWS, use_threads=False):
-            short_texts(batch, path)
+            admission.short_texts(batch, path)
             yield batch
 
 
@@ -66,8 +57,8 @@ def decoded_shard(path: Path, pixels: int | None = None) -> Shard:
     shard = Shard()
     sums: dict[str, Any] = {}
     try:
-        shard.odd = check_parquet(path, images=True)
-        if not pq.read_schema(path).equals(shard_schema(DATASET_SCHEMA), check_metadata=True):
+        shard.odd = admission.check_parquet(path, images=True)
+        if not pq.read_schema(path).equals(DATASET_SCHEMA, check_metadata=True):
             shard.odd = "its columns are not those of a shard"
         for batch in _batches(path):
             names = [name for name in batch.schema.names if name != "image"]
@@ -89,9 +80,9 @@ def decoded_shard(path: Path, pixels: int | None = None) -> Shard:
                 shard.images += 1
     except MemoryError:
         shard.problem, shard.grows = _GROWS, True
-    except Harmful as error:
+    except admission.Harmful as error:
         shard.problem, shard.grows = str(error).removeprefix(f"{path}: "), True
-    except UNUSABLE as error:
+    except admission.UNUSABLE as error:
         shard.problem = first_line(error)
     shard.pixels = {video: digest.hexdigest() for video, digest in sums.items()}
     return shard
@@ -114,7 +105,7 @@ def check_files(contents: Contents, jobs: int) -> tuple[dict[str, int], dict[str
         decoded = dict(zip(shards, read, strict=True))
     for name, shard in decoded.items():
         if shard.grows and digests[name] == sums[name]:
-            raise Harmful(f"{folder / name}: {shard.problem}")
+            raise admission.Harmful(f"{folder / name}: {shard.problem}")
     owner = {digest: name for name, digest in sums.items()}
     stated = contents.release.get("files", {})
     for name in present:
@@ -201,7 +192,6 @@ def _labels(row: dict[str, Any], shard: Shard) -> str | None:
         return f"starts in row {shard.first_row[video]}, not {row['first_row']}"
     if columns.get("position") != list(range(row["frames"])):
         return f"its images are not the {row['frames']} of the manifest in order"
-    names = [f"{video}_{frame:04d}.png" for frame in columns["frame"] if frame is not None]
-    if columns["path"] != names:
+    if columns["path"] != [f"{video}_{n:04d}.png" for n in columns["frame"] if n is not None]:
         return f"its images are not named {video}_<frame>.png"
     return None

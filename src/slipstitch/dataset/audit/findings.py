@@ -102,8 +102,11 @@ def in_words(clips: Sequence[str], all_clips: int) -> str:
     """A short list of the clips."""
     if clips and len(clips) == all_clips:
         return f"all {all_clips} clips"
-    named = ", ".join(clips[:3])
-    return f"{named} and {len(clips) - 3} more" if len(clips) > 3 else named
+    return _first_three(clips)
+
+
+def _first_three(names: Sequence[str]) -> str:
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 #: What an audit can promise to whoever checks neither signature nor published digest.
@@ -116,10 +119,8 @@ NO_FORGER = (
 
 def not_part(of: str, names: Sequence[str]) -> str:
     """A note on files that hubs, desktops and others have added."""
-    hidden = {name: name.startswith(".") for name in names}
-    shown = list(dict.fromkeys(n.partition("/")[0] if hidden[n] else n for n in names))
-    more = f" and {len(shown) - 3} more" if len(shown) > 3 else ""
-    return f"not part of {of}, not looked at: {', '.join(shown[:3])}{more}"
+    shown = (name.partition("/")[0] if name.startswith(".") else name for name in names)
+    return f"not part of {of}, not looked at: {_first_three(list(dict.fromkeys(shown)))}"
 
 
 _TEMPLATE = Path(__file__).with_name("audit.html.j2")

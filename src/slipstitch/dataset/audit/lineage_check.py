@@ -1,9 +1,8 @@
 """Tracing every clip to its origin, recomputing its labels, and what today's code would change.
 
-Records are compared with each other: what a file was made from must be the file that the next
-record is about. Labels, times, stage positions and splits follow from configuration and seed, and
-are recomputed. Both find what went wrong or was changed carelessly; only a signature finds a
-release whose records were all rewritten to agree.
+Records are compared with each other; labels, times, stage positions and splits are recomputed from
+configuration and seed. Both find accidents and careless changes; only a signature finds a release
+whose records were all rewritten to agree.
 """
 
 import functools
@@ -19,32 +18,17 @@ from typing import Any
 import numpy as np
 
 from slipstitch.base.errors import BadInput
+from slipstitch.base.project import installed_version
 from slipstitch.base.provenance import file_digest
-from slipstitch.base.provenance.code import PACKAGE, RESULT_PACKAGES, installed_version
+from slipstitch.base.provenance.code import PACKAGE, RESULT_PACKAGES
 from slipstitch.config import Config
 from slipstitch.config.catalogue import FABRICS_FILE
 from slipstitch.dataset.audit.contents import SAMPLED_MANIFEST, Contents
 from slipstitch.dataset.audit.files import Shard
 from slipstitch.dataset.audit.findings import Kind
 from slipstitch.dataset.manifest import dataset_digest, video_labels
-from slipstitch.dataset.release.currency import (
-    PACKAGE_SOURCES,
-    SOURCES,
-    catalogue_changes,
-    config_changes,
-    current_digest,
-    recorded_entries,
-)
+from slipstitch.dataset.release import currency, records
 from slipstitch.dataset.release.manifest import MANIFEST, PREFIX, parts, sampled_rows, split_columns
-from slipstitch.dataset.release.records import (
-    RELEASE_RECORD,
-    VERIFICATION,
-    Artefact,
-    carried_file,
-    is_carried,
-    is_ours,
-    record_file,
-)
 from slipstitch.design.grid import sampled_frames
 from slipstitch.design.stage_path import StagePath
 from slipstitch.physics.fabric import fabric_digest
@@ -61,26 +45,32 @@ def check_lineage(contents: Contents, shards: Mapping[str, Shard]) -> None:
     _check_links(contents)
     _check_sampled(contents)
     if contents.release:
-        stated, sums = set(contents.release["files"]), set(contents.sums) - {RELEASE_RECORD}
+        stated, sums = set(contents.release["files"]), set(contents.sums) - {records.RELEASE_RECORD}
         for name in stated ^ sums:
             lists = ("records/release.json", "SHA256SUMS")
             there, lacking = lists if name in stated else lists[::-1]
             contents.broken(name, f"listed in {there}, but not in {lacking}")
-    sources = contents.folder / SOURCES
-    if (contents.folder / PACKAGE_SOURCES / "dataset").is_dir():
+    sources = contents.folder / currency.SOURCES
+    if (contents.folder / currency.PACKAGE_SOURCES / "dataset").is_dir():
         _check_sources(contents, sources)
     elif sources.is_dir():
-        contents.remarks.append(
-            "code/src is of an older version of Slipstitch: code digests not compared"
-        )
+        older = "code/src is of an older version of Slipstitch: code digests not compared"
+        contents.remarks.append(older)
     if (config := contents.config) is None:
         return
     for artefact in contents.made():
-        if changes := config_changes(artefact, config, contents.calibrated):
+        if changes := currency.config_changes(artefact, config, contents.calibrated):
             what = f"made with a configuration that differs from records/config.json: {changes[0]}"
-            contents.broken(record_file(artefact.path), what, contents.clips_of(artefact.path))
-    stale = sorted({artefact.stage for artefact in contents.made() if _is_stale(artefact)})
-    if stale:
+            contents.broken(
+                records.record_file(artefact.path), what, contents.clips_of(artefact.path)
+            )
+    older = (
+        one.stage
+        for one in contents.made()
+        if one.record.get("code_digest") != currency.current_digest(one.stage, None, one.versions)
+        or currency.catalogue_changes(one)
+    )
+    if stale := sorted(set(older)):
         contents.remarks.append(
             "labels, times, stage positions and splits are checked with code that has changed "
             f"since ({', '.join(stale)})"
@@ -90,63 +80,59 @@ def check_lineage(contents: Contents, shards: Mapping[str, Shard]) -> None:
     _check_rendered(contents)
 
 
-def _is_stale(artefact: Artefact) -> bool:
-    made_by = artefact.record.get("code_digest")
-    now = current_digest(artefact.stage, None, artefact.versions)
-    return made_by != now or bool(catalogue_changes(artefact))
-
-
 def _check_links(contents: Contents) -> None:
     """Note records that are missing, or about other files than what was made from them says."""
     artefacts = contents.artefacts
     starts = {path for row in contents.rows for path in contents.behind(row)}
-    starts |= {SAMPLED_MANIFEST} | ({VERIFICATION} & set(artefacts))
+    starts |= {SAMPLED_MANIFEST} | ({records.VERIFICATION} & set(artefacts))
     for path in sorted(starts):
         artefact = artefacts.get(path)
-        where, clips = record_file(path), contents.clips_of(path)
+        where, clips = records.record_file(path), contents.clips_of(path)
         if artefact is None:
             contents.broken(where, f"no readable record of {path}", clips)
             continue
-        if is_ours(path) and artefact.provenance is None:
+        if records.is_ours(path) and artefact.provenance is None:
             contents.broken(where, "does not state its origin", clips)
-        if is_carried(artefact):
-            carried = contents.folder / carried_file(path)
+        if records.is_carried(artefact):
+            carried = contents.folder / records.carried_file(path)
             if carried.is_file() and file_digest(carried) != artefact.sha256:
                 what = f"not the file described by {where}"
-                contents.broken(carried_file(path), what, clips)
+                contents.broken(records.carried_file(path), what, clips)
         for name, digest in artefact.inputs.items():
             if name in artefacts and artefacts[name].sha256 != digest:
-                what = f"was made from a {name} other than the one described by {record_file(name)}"
+                other = records.record_file(name)
+                what = f"was made from a {name} other than the one described by {other}"
                 touched = min(contents.clips_of(name), clips, key=len)
                 contents.broken(where, what, touched)
     manifest = artefacts.get(SAMPLED_MANIFEST)
     for row in contents.rows:
         if manifest and f"results/sample/{row['sampled_file']}" not in manifest.inputs:
             what = f"the manifest was not made from {row['sampled_file']}"
-            contents.broken(record_file(SAMPLED_MANIFEST), what, [row["video"]])
+            contents.broken(records.record_file(SAMPLED_MANIFEST), what, [row["video"]])
         if not (contents.of_stage(row, "simulate") and contents.of_stage(row, "render")):
             what = f"{row['video']}: its rendering or simulation is missing"
             contents.broken(MANIFEST, what, [row["video"]])
     for path in set(artefacts) - starts:
-        contents.broken(record_file(path), "no clip depends on the file that it describes")
+        contents.broken(records.record_file(path), "no clip depends on the file that it describes")
 
 
 def _check_sources(contents: Contents, sources: Path) -> None:
     """Compare records with the sources that the release carries."""
     for artefact in contents.made():
-        where, clips = record_file(artefact.path), contents.clips_of(artefact.path)
+        where, clips = records.record_file(artefact.path), contents.clips_of(artefact.path)
         digest = artefact.record.get("code_digest")
-        if digest != current_digest(artefact.stage, sources, artefact.versions):
+        if digest != currency.current_digest(artefact.stage, sources, artefact.versions):
             what = f"its code digest is not that of {artefact.stage} in code/src at its versions"
             contents.broken(where, what, clips)
-        for name, digest in recorded_entries(artefact).get("fabrics", {}).items():
+        for name, digest in currency.recorded_entries(artefact).get("fabrics", {}).items():
             if digest != _carried_fabric(sources, name):
-                contents.broken(
-                    where, f"was made with a fabric {name} that differs from code/src", clips
-                )
+                what = f"was made with a fabric {name} that differs from code/src"
+                contents.broken(where, what, clips)
     digest = contents.release.get("provenance", {}).get("code_digest")
-    if contents.release and digest != current_digest("release", sources):
-        contents.broken(RELEASE_RECORD, "its code digest differs from that of release in code/src")
+    if contents.release and digest != currency.current_digest("release", sources):
+        contents.broken(
+            records.RELEASE_RECORD, "its code digest differs from that of release in code/src"
+        )
 
 
 def _carried_fabric(sources: Path, name: str) -> str | None:
@@ -162,7 +148,7 @@ def _check_sampled(contents: Contents) -> None:
     record, rows = contents.artefacts.get(SAMPLED_MANIFEST), _sampled_rows(contents)
     if record and rows and dataset_digest(rows) != record.metadata.get("dataset_digest"):
         what = "labels, splits or pixel digests differ from those of the sampling stage"
-        contents.broken(MANIFEST, f"{what} ({record_file(SAMPLED_MANIFEST)})")
+        contents.broken(MANIFEST, f"{what} ({records.record_file(SAMPLED_MANIFEST)})")
     if not rows or dataset_digest(contents.rows) != contents.notes.get("dataset_digest"):
         contents.broken(MANIFEST, "its rows do not match their digest")
 
@@ -185,9 +171,7 @@ def _check_recomputed(contents: Contents, config: Config, stale: Collection[str]
     rows = _sampled_rows(contents)
     for row in rows:
         for name, value in expected.get(row["video"], {}).items():
-            if name.startswith(PREFIX) and "sample" in stale:
-                continue
-            if name in row:
+            if name in row and not (name.startswith(PREFIX) and "sample" in stale):
                 _compare(contents, row, name, value, "the configuration gives")
     if odd := sorted(set(expected) ^ set(contents.clips)):
         what = f"{odd[0]}: not in the configured grid"
@@ -222,8 +206,7 @@ def _check_times(contents: Contents, config: Config, shards: Mapping[str, Shard]
         columns = (shard and shard.columns.get(row["video"])) or {}
         for name, values in protocol.items() if columns else ():
             found = np.array(columns.get(name), np.float64)
-            same = found.shape == values.shape
-            if not same or not (np.abs(found - values) <= _STAGE_TOLERANCE_M).all():
+            if found.shape != values.shape or not (abs(found - values) <= _STAGE_TOLERANCE_M).all():
                 what = f"{row['video']}: {name} differs from the protocol"
                 contents.broken(row["shard"], what, [row["video"]])
 
@@ -249,24 +232,26 @@ def check_staleness(contents: Contents, config: Config | None) -> None:
         reasons = [*other_code(artefact)]
         if quoted_study(artefact) not in (None, study):
             reasons.append("it quotes the verdict of another convergence study than today's")
-        reasons += [f"the catalogue has changed: {one}" for one in catalogue_changes(artefact)]
-        changes = config_changes(artefact, config, contents.calibrated) if config else []
+        reasons += [
+            f"the catalogue has changed: {one}" for one in currency.catalogue_changes(artefact)
+        ]
+        changes = currency.config_changes(artefact, config, contents.calibrated) if config else []
         reasons += [f"its configuration has changed: {one}" for one in changes]
         for reason in reasons:
             touched[artefact.stage, reason].update(contents.clips_of(artefact.path))
     own = contents.release.get("provenance", {}).get("code_digest")
-    if own is not None and own != current_digest("release"):
+    if own is not None and own != currency.current_digest("release"):
         touched["release", "its code has changed"] = set()
     for (stage, reason), clips in sorted(touched.items()):
         contents.find(Kind.STALE, stage, reason, sorted(clips))
 
 
-def other_code(artefact: Artefact) -> Iterator[str]:
+def other_code(artefact: records.Artefact) -> Iterator[str]:
     """Why today's code would make something else: its sources, or what they are installed with."""
     made_by, versions = artefact.record["code_digest"], artefact.versions
-    if made_by == current_digest(artefact.stage):
+    if made_by == currency.current_digest(artefact.stage):
         return
-    same_sources = current_digest(artefact.stage, None, versions)
+    same_sources = currency.current_digest(artefact.stage, None, versions)
     if same_sources is None:
         yield "the stage no longer exists"
     elif same_sources != made_by:
@@ -278,7 +263,7 @@ def other_code(artefact: Artefact) -> Iterator[str]:
                 yield f"it was made with {package} {then}; {now} is installed"
 
 
-def quoted_study(artefact: Artefact) -> object:
+def quoted_study(artefact: records.Artefact) -> object:
     """SHA-256 of the table of verdicts that a trajectory quotes; None if it quotes none."""
     quoted = artefact.metadata.get("convergence")
     return quoted.get("table_sha256") if isinstance(quoted, Mapping) else None
@@ -286,7 +271,7 @@ def quoted_study(artefact: Artefact) -> object:
 
 def check_commits(contents: Contents, checkout: Path) -> None:
     """Note BROKEN where a commit that records name holds other code or study than they."""
-    claims: dict[str, dict[tuple, list[Artefact]]] = defaultdict(lambda: defaultdict(list))
+    claims: dict[str, dict[tuple, list[records.Artefact]]] = defaultdict(lambda: defaultdict(list))
     dirty = set()
     for artefact in contents.made():
         record = artefact.record
@@ -297,10 +282,9 @@ def check_commits(contents: Contents, checkout: Path) -> None:
             versions = tuple(sorted(artefact.versions.items()))
             claims[commit][artefact.stage, record.get("code_digest"), versions].append(artefact)
     if dirty:
-        contents.remarks.append(
-            f"made with uncommitted changes: {', '.join(sorted(dirty))}; their code is only "
-            "available in code/"
-        )
+        names = ", ".join(sorted(dirty))
+        what = f"made with uncommitted changes: {names}; their code is only available in code/"
+        contents.remarks.append(what)
     for commit, stages in sorted(claims.items()):
         name, folder = f"commit {commit[:12]}", _unpacked(checkout, commit)
         if folder is None:
@@ -314,13 +298,12 @@ def check_commits(contents: Contents, checkout: Path) -> None:
 def _check_claims(contents: Contents, commit: str, stages: dict, source: Path) -> None:
     study = study_digest(source / PACKAGE / "physics" / "simulation" / MEASURED.name)
     for (stage, digest, versions), artefacts in stages.items():
-        others = [one for one in artefacts if quoted_study(one) not in (None, study)]
-        odd = []
-        if current_digest(stage, source, dict(versions)) != digest:
-            odd.append((artefacts, f"other code of {stage} than the records"))
-        if others:
-            odd.append((others, "another convergence study than is quoted"))
-        for of_odd, what in odd:
+        odd = {}
+        if currency.current_digest(stage, source, dict(versions)) != digest:
+            odd[f"other code of {stage} than the records"] = artefacts
+        if others := [one for one in artefacts if quoted_study(one) not in (None, study)]:
+            odd["another convergence study than is quoted"] = others
+        for what, of_odd in odd.items():
             clips = {clip for one in of_odd for clip in contents.clips_of(one.path)}
             contents.broken(stage, f"{commit} contains {what}", sorted(clips))
 

@@ -51,62 +51,10 @@ class Chain:
         return {name: digest for name, digest in self.behind.items() if _SIMULATED in name}
 
 
-@dataclass(frozen=True)
 class PublishedAudit:
-    """The outcome: ``intact`` without findings, else ``damaged``."""
+    """The outcome: its findings, the chains of its models, notes on what is no damage."""
 
-    name: str
-    files: int
-    findings: list[Finding]
-    chains: list[Chain]
-    notes: list[str]
-
-    @property
-    def verdict(self) -> str:
-        """``intact`` or ``damaged``."""
-        return "damaged" if self.findings else "intact"
-
-    def as_json(self) -> dict[str, Any]:
-        """The outcome as JSON can hold it."""
-        return {
-            "published": self.name,
-            "verdict": self.verdict,
-            "files": self.files,
-            "findings": [asdict(finding) for finding in self.findings],
-            "models": [asdict(chain) | {"simulations": chain.simulations} for chain in self.chains],
-            "notes": self.notes,
-        }
-
-    def as_text(self) -> str:
-        """The outcome as lines."""
-        lines = [f"{self.name}: {self.verdict}, {self.files} files checked"]
-        lines += [f"  {one.kind.value}: {one.where}: {one.what}" for one in self.findings]
-        for chain in self.chains:
-            where = "" if chain.published else ", weights not published"
-            where = ", the instrument that ships" if chain.shipped else where
-            lines.append(f"{chain.weights}: {chain.sha256}{where}")
-            reached = f"the digests of {len(chain.simulations)} simulations"
-            lines.append(
-                f"  from {len(chain.shards)} files of images, from "
-                + (reached if chain.simulations else "simulations whose digests are not published")
-            )
-        return "\n".join(map(printable, [*lines, *(f"note: {note}" for note in self.notes)]))
-
-
-def audit_published(
-    folder: Path, shipped: str = "", recompute: Callable[[Path], Mapping[str, Any]] | None = None
-) -> PublishedAudit:
-    """Audit a folder that `slipstitch publish` wrote; BadInput if it cannot be read without harm.
-
-    `shipped` is the SHA-256 of the shipped weights; `recompute` gives of predictions their scores.
-    """
-    with limited_memory():
-        check_entries(folder)
-        return _Published(folder).audit(shipped, recompute)
-
-
-class _Published:
-    def __init__(self, folder: Path):
+    def __init__(self, folder: Path, shipped: str, recompute: Callable | None):
         self.folder = folder
         index = _mapping(read_json(folder / INDEX))
         self.name = str(index.get("name"))
@@ -119,19 +67,46 @@ class _Published:
         self.digests = {name: file_digest(folder / name) for name in there}
         self.findings: list[Finding] = []
         self.contents: dict[str, dict[str, Any]] = {}
-
-    def audit(self, shipped: str, recompute: Callable | None) -> PublishedAudit:
         self.check_files()
         self.check_models()
         self.check_datasets()
         for name in self.records:
             self.check_inputs(name)
-        chains = [self.chain(weights, shipped) for weights in self.models]
-        notes = self.notes()
+        self.chains = [self.chain(weights, shipped) for weights in self.models]
+        self.notes = self.remarks()
         if recompute is not None and {_SCORES, _PREDICTIONS} <= set(self.digests):
-            notes += self.check_scores(recompute)
-        findings = sorted_findings(self.findings)
-        return PublishedAudit(self.name, len(self.digests), findings, chains, notes)
+            self.notes += self.check_scores(recompute)
+        self.findings = sorted_findings(self.findings)
+
+    @property
+    def verdict(self) -> str:
+        """``intact`` without findings, else ``damaged``."""
+        return "damaged" if self.findings else "intact"
+
+    def as_json(self) -> dict[str, Any]:
+        """The outcome as JSON can hold it."""
+        return {
+            "published": self.name,
+            "verdict": self.verdict,
+            "files": len(self.digests),
+            "findings": [asdict(finding) for finding in self.findings],
+            "models": [asdict(chain) | {"simulations": chain.simulations} for chain in self.chains],
+            "notes": self.notes,
+        }
+
+    def as_text(self) -> str:
+        """The outcome as lines."""
+        lines = [f"{self.name}: {self.verdict}, {len(self.digests)} files checked"]
+        lines += [f"  {one.kind.value}: {one.where}: {one.what}" for one in self.findings]
+        for chain in self.chains:
+            where = "" if chain.published else ", weights not published"
+            where = ", the instrument that ships" if chain.shipped else where
+            reached = "simulations whose digests are not published"
+            if chain.simulations:
+                reached = f"the digests of {len(chain.simulations)} simulations"
+            lines.append(f"{chain.weights}: {chain.sha256}{where}")
+            lines.append(f"  from {len(chain.shards)} files of images, from {reached}")
+        return "\n".join(map(printable, [*lines, *(f"note: {note}" for note in self.notes)]))
 
     def chain(self, weights: str, shipped: str) -> Chain:
         digest, shards = self.models[weights], self.shards(weights)
@@ -287,7 +262,7 @@ class _Published:
                     found[full] = digest
         return found
 
-    def notes(self) -> list[str]:
+    def remarks(self) -> list[str]:
         notes = [not_part("what was published", self.others)] if self.others else []
         if count := len(self.missing):
             more = f" and {count - 1} more" if count > 1 else ""
@@ -296,10 +271,8 @@ class _Published:
         if any(name.endswith(_READ_ELSEWHERE) for name in self.digests):
             notes.append("what stretches the intervals was read of videos that are not published")
         if not self.json(_LINEAGE):
-            notes.append(
-                f"{_LINEAGE} is not published, so that the digests of the simulations are not: the "
-                "chain ends at the files of images"
-            )
+            missing = f"{_LINEAGE} is not published, so that the digests of the simulations are not"
+            notes.append(f"{missing}: the chain ends at the files of images")
         return notes
 
     def origin(self) -> list[str]:
@@ -327,14 +300,24 @@ class _Published:
         return [words + names for words, names in told.items() if names]
 
 
+def audit_published(
+    folder: Path, shipped: str = "", recompute: Callable[[Path], Mapping[str, Any]] | None = None
+) -> PublishedAudit:
+    """Audit a folder that `slipstitch publish` wrote; BadInput if it cannot be read without harm.
+
+    `shipped` is the SHA-256 of the shipped weights; `recompute` gives of predictions their scores.
+    """
+    with limited_memory():
+        check_entries(folder)
+        return PublishedAudit(folder, shipped, recompute)
+
+
 def _leaves(content: Any, place: tuple[str, ...] = ()) -> dict[tuple[str, ...], Any]:
     """Every value of nested mappings by the keys that lead to it."""
     if not isinstance(content, Mapping):
         return {place: content}
-    found: dict[tuple[str, ...], Any] = {}
-    for key, value in content.items():
-        found |= _leaves(value, (*place, str(key)))
-    return found
+    parts = (_leaves(value, (*place, str(key))) for key, value in content.items())
+    return {place: value for part in parts for place, value in part.items()}
 
 
 def _mapping(value: Any) -> dict[str, Any]:

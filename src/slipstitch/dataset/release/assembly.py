@@ -20,47 +20,9 @@ from slipstitch.base.provenance import (
     write_json,
 )
 from slipstitch.config import Config
-from slipstitch.dataset.manifest import MANIFEST_SCHEMA, read_manifest
-from slipstitch.dataset.release.checksums import (
-    SIGNATURE,
-    SUMS,
-    check_key,
-    files_below,
-    sign,
-    write_sums,
-)
-from slipstitch.dataset.release.currency import (
-    LOCK,
-    calibrated_by,
-    catalogue_changes,
-    check_project,
-    config_changes,
-    copy_code,
-    current_digest,
-    other_versions,
-)
+from slipstitch.dataset.manifest import read_manifest
+from slipstitch.dataset.release import checksums, currency, manifest, records
 from slipstitch.dataset.release.description import CARD, card_of, facts_of
-from slipstitch.dataset.release.manifest import (
-    MANIFEST,
-    parts,
-    released_rows,
-    split_columns,
-    write_manifest,
-)
-from slipstitch.dataset.release.records import (
-    CONFIG,
-    CRATE,
-    CROISSANT,
-    GRID,
-    RELEASE_RECORD,
-    VERIFICATION,
-    Artefact,
-    carried_file,
-    collect,
-    is_carried,
-    locate,
-    write_record,
-)
 from slipstitch.dataset.release.shards import write_previews, write_shards
 
 _ROOM = 1.02  # records, code and previews come on top of the shards
@@ -78,29 +40,30 @@ class Released:
 
 
 def check_current(
-    artefacts: Mapping[str, Artefact], config: Config, root: Path, lock: Mapping[str, str]
+    artefacts: Mapping[str, records.Artefact], config: Config, root: Path, lock: Mapping[str, str]
 ) -> None:
     """Refuse to release what code, configuration or catalogue would not make now.
 
     Simulations are held against the settings that the calibration (below `root`) chose.
     """
-    calibrated = calibrated_by(artefacts, lambda path: root / path)
+    calibrated = currency.calibrated_by(artefacts, lambda path: root / path)
     for artefact in artefacts.values():
         if artefact.provenance is None:
             continue
-        if artefact.provenance["code_digest"] != current_digest(artefact.stage):
+        if artefact.provenance["code_digest"] != currency.current_digest(artefact.stage):
             raise BadInput(
                 f"{artefact.path}: made by different code of the stage {artefact.stage}; update "
                 "the results with: snakemake --cores 2 sample"
             )
-        for problem in other_versions(artefact.record, lock):
+        for problem in currency.other_versions(artefact.record, lock):
             raise BadInput(
                 f"{artefact.path}: {problem}; install these versions, or update the lock"
             )
-        for what, changes in (
-            ("configuration", config_changes(artefact, config, calibrated)),
-            ("catalogue", catalogue_changes(artefact)),
-        ):
+        changed = {
+            "configuration": currency.config_changes(artefact, config, calibrated),
+            "catalogue": currency.catalogue_changes(artefact),
+        }
+        for what, changes in changed.items():
             if changes:
                 raise BadInput(f"{artefact.path}: made with a different {what}: {changes[0]}")
 
@@ -114,7 +77,7 @@ def _outside(config: Config) -> dict[str, Path]:
 def _check_target(out: Path) -> None:
     if out.is_dir() and not any(out.iterdir()):
         return
-    if (out / SUMS).is_file():
+    if (out / checksums.SUMS).is_file():
         raise BadInput(f"{out}: contains a release, which is not overwritten; remove it first")
     if out.exists() or out.is_symlink():
         raise BadInput(f"{out}: exists and is not a release; choose another folder")
@@ -124,10 +87,8 @@ def _check_room(out: Path, needed: float) -> None:
     place = next(parent for parent in out.resolve().parents if parent.exists())
     free = shutil.disk_usage(place).free
     if free < needed:
-        raise SlipstitchError(
-            f"{out}: the release needs about {needed / 1e6:.1f} MB, "
-            f"{free / 1e6:.1f} MB are free on that disk"
-        )
+        needs = f"about {needed / 1e6:.1f} MB, {free / 1e6:.1f} MB are free on that disk"
+        raise SlipstitchError(f"{out}: the release needs {needs}")
 
 
 def write_release(
@@ -150,15 +111,17 @@ def write_release(
         raise BadInput(f"{results}: must be a folder named results, as in the records")
     _check_target(out)
     if key is not None:
-        check_key(key)
-    project = check_project(project)
+        checksums.check_key(key)
+    project = currency.check_project(project)
     sample = results / "sample"
     sampled, _ = read_manifest(sample)
-    made = [f"results/sample/{MANIFEST}"]
-    if (results.parent / VERIFICATION).is_file():
-        made.append(VERIFICATION)
-    artefacts = collect(made, results.parent, _outside(config))
-    lock = {name.lower(): version for name, version in pinned_versions(project / LOCK).items()}
+    made = [f"results/sample/{manifest.MANIFEST}"]
+    if (results.parent / records.VERIFICATION).is_file():
+        made.append(records.VERIFICATION)
+    artefacts = records.collect(made, results.parent, _outside(config))
+    lock = {
+        name.lower(): version for name, version in pinned_versions(project / currency.LOCK).items()
+    }
     check_current(artefacts, config, results.parent, lock)
     copied = [sample / name for name in {row["file"] for row in sampled}]
     copied += [results.parent / path for path, one in artefacts.items() if one.stage == "simulate"]
@@ -176,27 +139,23 @@ def _fill(
     config: Config,
     results: Path,
     sampled: list[dict[str, Any]],
-    artefacts: dict[str, Artefact],
+    artefacts: dict[str, records.Artefact],
     project: Path,
     started: tuple[float, float],
     key: str | os.PathLike | None,
 ) -> Released:
     sample = results / "sample"
-    splits = split_columns(sampled, config)
-    part_of = parts(splits)
+    splits = manifest.split_columns(sampled, config)
+    part_of = manifest.parts(splits)
     videos = [row["video"] for row in sampled]
     places = write_shards(
-        sample,
-        sampled,
-        dict(zip(videos, part_of, strict=True)),
-        folder,
-        config.release.shard_mb,
+        sample, sampled, dict(zip(videos, part_of, strict=True)), folder, config.release.shard_mb,
         partial(progress, description="release: ", unit="file"),
-    )
-    rows = released_rows(sampled, splits, part_of, places)
-    write_manifest(rows, MANIFEST_SCHEMA, list(splits), folder)
+    )  # fmt: skip
+    rows = manifest.released_rows(sampled, splits, part_of, places)
+    manifest.write_manifest(rows, list(splits), folder)
     pictures = write_previews(folder, rows)
-    copy_code(project, folder)
+    currency.copy_code(project, folder)
     facts = facts_of(config, project, time_of_making().date().isoformat())
     _write_records(folder, config, results, artefacts)
     card = card_of(folder, facts, config, rows, artefacts, pictures)
@@ -204,24 +163,30 @@ def _fill(
     # rdflib and rocrate take a second to import.
     from slipstitch.dataset.release.metadata import crate_text, croissant_text
 
-    (folder / CROISSANT).write_text(croissant_text(folder, facts), encoding="utf-8")
+    (folder / records.CROISSANT).write_text(croissant_text(folder, facts), encoding="utf-8")
     record = provenance_record(
         "release",
-        inputs=[results / "sample" / MANIFEST],
+        inputs=[results / "sample" / manifest.MANIFEST],
         config={"release": config.release, "seed": config.seed},
         seed=config.seed,
         started=started,
     )
     # As the other records call it, whatever the working folder.
-    record["inputs"] = {f"results/sample/{MANIFEST}": file_digest(sample / MANIFEST)}
-    (folder / CRATE).write_text(crate_text(folder, facts, artefacts, record), encoding="utf-8")
-    content = {name: file_digest(folder / name) for name in files_below(folder)}
-    write_json(folder / RELEASE_RECORD, {"facts": facts, "files": content, "provenance": record})
-    digest = write_sums(folder)
-    files = [*files_below(folder), SUMS]
+    record["inputs"] = {
+        f"results/sample/{manifest.MANIFEST}": file_digest(sample / manifest.MANIFEST)
+    }
+    (folder / records.CRATE).write_text(
+        crate_text(folder, facts, artefacts, record), encoding="utf-8"
+    )
+    content = {name: file_digest(folder / name) for name in checksums.files_below(folder)}
+    write_json(
+        folder / records.RELEASE_RECORD, {"facts": facts, "files": content, "provenance": record}
+    )
+    digest = checksums.write_sums(folder)
+    files = [*checksums.files_below(folder), checksums.SUMS]
     if key is not None:
-        sign(folder, key)
-        files.append(SIGNATURE)
+        checksums.sign(folder, key)
+        files.append(checksums.SIGNATURE)
     for name in files:
         (folder / name).chmod(0o444)
     return Released(
@@ -234,14 +199,17 @@ def _fill(
 
 
 def _write_records(
-    folder: Path, config: Config, results: Path, artefacts: Mapping[str, Artefact]
+    folder: Path, config: Config, results: Path, artefacts: Mapping[str, records.Artefact]
 ) -> None:
     for path, artefact in artefacts.items():
-        write_record(artefact, folder)
-        if is_carried(artefact):
-            place, carried = locate(path, results.parent, _outside(config)), carried_file(path)
+        records.write_record(artefact, folder)
+        if records.is_carried(artefact):
+            place, carried = (
+                records.locate(path, results.parent, _outside(config)),
+                records.carried_file(path),
+            )
             (folder / carried).parent.mkdir(parents=True, exist_ok=True)
             shutil.copyfile(place, folder / carried)
-    write_json(folder / CONFIG, config.model_dump(mode="json"))
+    write_json(folder / records.CONFIG, config.model_dump(mode="json"))
     if (results / "grid.parquet").is_file():
-        shutil.copyfile(results / "grid.parquet", folder / GRID)
+        shutil.copyfile(results / "grid.parquet", folder / records.GRID)

@@ -19,6 +19,10 @@ from slipstitch.base.provenance import file_digest
 NAMESPACE = "slipstitch-release"
 
 
+def _ssh_keygen(*words: str, given: bytes = b"") -> subprocess.CompletedProcess:
+    return subprocess.run([_tool(), *words], input=given, capture_output=True, timeout=60)
+
+
 def _tool() -> str:
     tool = shutil.which("ssh-keygen")
     if tool is None:
@@ -47,28 +51,21 @@ def verify(folder: Path, signers: Path) -> tuple[str | None, str | None]:
 
     `signers` has lines of a name and a public key; BadInput without them, or ``ssh-keygen``.
     """
-    tool = _tool()
+    _tool()
     if not signers.is_file():
-        raise BadInput(
-            f"{signers}: no such file; must be a list of allowed signers, one per "
-            "line: NAME PUBLIC_KEY"
-        )
+        wanted = "must be a list of allowed signers, one per line: NAME PUBLIC_KEY"
+        raise BadInput(f"{signers}: no such file; {wanted}")
     if not (folder / SIGNATURE).is_file():
         return None, "the release is not signed"
-    files = ["-s", str(folder / SIGNATURE), "-f", str(signers)]
-    sums = (folder / SUMS).read_bytes()
-    found = _run(tool, ["-Y", "find-principals", *files])
+    files = "-s", str(folder / SIGNATURE), "-f", str(signers)
+    found = _ssh_keygen("-Y", "find-principals", *files)
     if found.returncode != 0 or not found.stdout.strip():
         return None, f"was not signed by any of the signers in {signers}"
     signer = found.stdout.decode(errors="replace").splitlines()[0].strip()
-    words = ["-Y", "verify", *files, "-n", NAMESPACE, "-I", signer]
-    if _run(tool, words, sums).returncode != 0:
+    of_signer = *files, "-n", NAMESPACE, "-I", signer
+    if _ssh_keygen("-Y", "verify", *of_signer, given=(folder / SUMS).read_bytes()).returncode != 0:
         return None, f"is not {signer}'s of this {SUMS}"
     return signer, None
-
-
-def _run(tool: str, words: list[str], given: bytes = b"") -> subprocess.CompletedProcess:
-    return subprocess.run([tool, *words], input=given, capture_output=True, timeout=60)
 
 
 SUMS = "SHA256SUMS"
@@ -83,8 +80,7 @@ def files_below(folder: Path) -> list[str]:
     found = []
     for place, names, files in os.walk(folder):
         links = [name for name in names if os.path.islink(os.path.join(place, name))]
-        for name in (*files, *links):
-            found.append(Path(place, name).relative_to(folder).as_posix())
+        found += [Path(place, name).relative_to(folder).as_posix() for name in (*files, *links)]
     return sorted(name for name in found if name not in (SUMS, SIGNATURE, NOT_OURS))
 
 
@@ -104,14 +100,14 @@ def read_sums(folder: Path) -> Mapping[str, str]:
         raise BadInput(f"{folder}: not a release: no readable {SUMS}") from None
     sums: dict[str, str] = {}
     for number, line in enumerate(text.splitlines(), 1):
-        match = _LINE.fullmatch(line)
+        where, match = f"{folder / SUMS} line {number}", _LINE.fullmatch(line)
         if not match:
-            raise BadInput(f"{folder / SUMS} line {number}: not '<SHA-256>  <file>'")
+            raise BadInput(f"{where}: not '<SHA-256>  <file>'")
         digest, name = match.groups()
         if name in sums:
-            raise BadInput(f"{folder / SUMS} line {number}: {name} is duplicated")
+            raise BadInput(f"{where}: {name} is duplicated")
         if Path(name).is_absolute() or ".." in Path(name).parts:
-            raise BadInput(f"{folder / SUMS} line {number}: {name} is outside the release")
+            raise BadInput(f"{where}: {name} is outside the release")
         sums[name] = digest
     if not sums:
         raise BadInput(f"{folder / SUMS}: empty")

@@ -76,8 +76,7 @@ def current_digest(
     """Digest of the stage's code below a root, with versions; None if it cannot be had."""
     stated = None
     if versions is not None:
-        counting = (str(versions.get(package)) for package in _RESULT_PACKAGES)
-        stated = tuple(zip(_RESULT_PACKAGES, counting, strict=True))
+        stated = tuple((package, str(versions.get(package))) for package in _RESULT_PACKAGES)
     try:
         return code_digest(stage, root, stated) if stage else None
     except _NO_SOURCES:
@@ -103,8 +102,7 @@ def config_changes(
     from it was told to use these instead of those of `config`.
     """
     recorded = artefact.record.get("config", {})
-    now = config.model_dump(mode="json")
-    told = config.model_dump(mode="json")
+    now, told = (config.model_dump(mode="json") for _ in range(2))
     for path in artefact.inputs:
         told["simulation"] |= calibrated.get(path, {})
     # With the other sections: fewer frames than the default samples would be refused alone.
@@ -120,11 +118,8 @@ def config_changes(
 
 def calibrated_by(artefacts: Iterable[str], place: Callable[[str], Path]) -> dict[str, dict]:
     """The settings that calibrations among artefacts chose, by path; BadInput if one is damaged."""
-    return {
-        path: calibrated_settings(place(path))
-        for path in artefacts
-        if PurePosixPath(path).name == CALIBRATION
-    }
+    paths = [path for path in artefacts if PurePosixPath(path).name == CALIBRATION]
+    return {path: calibrated_settings(place(path)) for path in paths}
 
 
 def recorded_entries(artefact: Artefact) -> dict[str, dict[str, Any]]:
@@ -138,10 +133,8 @@ def catalogue_changes(artefact: Artefact) -> list[str]:
     """Entries of the catalogue that are others now, as ``catalogue.kind.name: recorded -> now``."""
     then = recorded_entries(artefact)
     named = {kind: then.get(kind, ()) for kind in ("viewpoints", "textures", "floors")}
-    now = {
-        "fabrics": {name: fabric_digest(name) for name in then.get("fabrics", ())},
-        **catalogue_entries(**named),
-    }
+    fabrics = {name: fabric_digest(name) for name in then.get("fabrics", ())}
+    now = {"fabrics": fabrics, **catalogue_entries(**named)}
     return list(_differences("catalogue", then, now))
 
 

@@ -5,20 +5,14 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-import pyarrow.parquet as pq
 import yaml
 
 from slipstitch.base.page.templates import render
 from slipstitch.base.provenance import read_json, read_yaml
 from slipstitch.config import Config
 from slipstitch.config.catalogue import FLOORS
-from slipstitch.dataset.release.manifest import (
-    PREFIX,
-    SAMPLED,
-    described,
-    parts_of_splits,
-    question,
-)
+from slipstitch.dataset.release import manifest
+from slipstitch.dataset.release.manifest import PREFIX, SAMPLED
 from slipstitch.dataset.release.records import (
     VERIFICATION,
     Artefact,
@@ -26,7 +20,7 @@ from slipstitch.dataset.release.records import (
     is_carried,
     recorded_name,
 )
-from slipstitch.dataset.release.shards import features_of
+from slipstitch.dataset.videos import DATASET_SCHEMA
 from slipstitch.design.splits import SIDES
 
 KEYWORDS = ("cloth", "friction", "simulation", "video", "material estimation")
@@ -79,9 +73,9 @@ def split_table(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> list
     for name in names:
         sides = {}
         for side in SIDES:
-            chosen = [row for row in rows if row[PREFIX + name] == side]
-            sides[side] = (len(chosen), len({row["simulation"] for row in chosen}))
-        table.append({"name": name, "question": question(name), "sides": sides})
+            chosen = [row["simulation"] for row in rows if row[PREFIX + name] == side]
+            sides[side] = (len(chosen), len(set(chosen)))
+        table.append({"name": name, "question": manifest.question(name), "sides": sides})
     return table
 
 
@@ -138,13 +132,12 @@ def card_of(
         for name in rows[0]
         if name.startswith(PREFIX)
     }
-    sides = parts_of_splits(splits, [row["part"] for row in rows])
+    sides = manifest.parts_of_splits(splits, [row["part"] for row in rows])
     # The split that is loaded if none is named.
     default = "by_simulation" if "by_simulation" in sides else next(iter(sides))
     images = sum(row["frames"] for row in rows)
     law = config.simulation.model and recorded_name(config.simulation.model, artefacts)
     records = [one.record for one in artefacts.values() if one.provenance is not None]
-    frame_columns = features_of(pq.read_schema(folder / rows[0]["shard"]))
     return render(
         _TEMPLATE,
         front_matter=front_matter(facts, images, sides, default),
@@ -156,8 +149,8 @@ def card_of(
         varied=varied(rows),
         splits=split_table(rows, list(sides)),
         sides=SIDES,
-        manifest_columns=[(name, described(name)) for name in rows[0]],
-        frame_columns=[(name, described(name)) for name in frame_columns],
+        manifest_columns=[(name, manifest.described(name)) for name in rows[0]],
+        frame_columns=[(name, manifest.described(name)) for name in DATASET_SCHEMA.names],
         config=config,
         law=law and carried_file(law),
         calibration=_calibration(folder, artefacts),
@@ -211,23 +204,18 @@ def _verification(folder: Path) -> list[dict[str, Any]]:
 
 def _solver(artefacts: Mapping[str, Artefact]) -> dict[str, Any]:
     """Time steps of all simulations together, and the largest residual of any."""
-    told = [
-        artefact.metadata["solver"]
-        for artefact in artefacts.values()
-        if artefact.stage == "simulate" and "solver" in artefact.metadata
-    ]
+    simulated = [one.metadata for one in artefacts.values() if one.stage == "simulate"]
+    told = [metadata["solver"] for metadata in simulated if "solver" in metadata]
     if not told:
         return {}
-    return {
-        "steps": sum(one["steps"] for one in told),
-        "largest_residual": max(one["largest_residual"] for one in told),
-    }
+    largest = max(one["largest_residual"] for one in told)
+    return {"steps": sum(one["steps"] for one in told), "largest_residual": largest}
 
 
 def _versions(records: Sequence[Mapping[str, Any]]) -> dict[str, list[str]]:
     """Package -> its versions, of everything behind a release."""
     found: dict[str, set[str]] = defaultdict(set)
     for record in records:
-        for package, version in record.get("versions", {}).items():
+        for package, version in (record.get("versions") or {}).items():
             found[package].add(version)
     return {package: sorted(versions) for package, versions in sorted(found.items())}

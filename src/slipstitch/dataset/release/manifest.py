@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 
 from slipstitch.base.provenance import attach_metadata
 from slipstitch.config import Config
-from slipstitch.dataset.manifest import dataset_digest
+from slipstitch.dataset.manifest import MANIFEST_SCHEMA, dataset_digest
 from slipstitch.design.grid import simulations
 from slipstitch.design.interpolation import interpolations
 from slipstitch.design.splits import SIDES
@@ -88,11 +88,9 @@ def split_columns(rows: Sequence[Row], config: Config) -> dict[str, list[str | N
             row[column] if trained else None for row, trained in zip(rows, trains, strict=True)
         ]
     grid = {simulation.id: simulation for simulation in simulations(config)}
-    parents_of = {
-        film: [grid[name] for name in shown.weights]
-        for film, shown in interpolations(config).items()
-    }
-    parents = [parents_of.get((row["simulation"], row["viewpoint_id"]), ()) for row in rows]
+    shown = interpolations(config)
+    films = [(row["simulation"], row["viewpoint_id"]) for row in rows]
+    parents = [[grid[name] for name in shown[one].weights] if one in shown else [] for one in films]
     simulated = [
         row for row, of, trained in zip(rows, parents, trains, strict=True) if trained and not of
     ]
@@ -232,17 +230,15 @@ def sampled_rows(released: Sequence[Mapping[str, Any]], names: Sequence[str]) ->
     return [{name: row[_sampled_name(name)] for name in names} for row in released]
 
 
-def write_manifest(
-    rows: Sequence[Mapping[str, Any]], sampled: pa.Schema, splits: Sequence[str], folder: Path
-) -> None:
+def write_manifest(rows: Sequence[Mapping[str, Any]], splits: Sequence[str], folder: Path) -> None:
     """Write ``manifest.parquet``; nothing in it differs between equal runs."""
-    fields = [pa.field(_sampled_name(column.name), column.type) for column in sampled]
+    fields = [pa.field(_sampled_name(column.name), column.type) for column in MANIFEST_SCHEMA]
     fields += [pa.field(PREFIX + name, pa.string()) for name in splits]
     fields += [("part", pa.string()), ("shard", pa.string()), ("first_row", pa.int64())]
     table = pa.Table.from_pylist(list(rows), schema=pa.schema(fields))
     notes = {
         "dataset_digest": dataset_digest(rows),
-        "sampled_columns": sampled.names,
+        "sampled_columns": MANIFEST_SCHEMA.names,
         "splits": {name: question(name) for name in splits},
     }
     pq.write_table(attach_metadata(table, notes), folder / MANIFEST, compression="zstd")

@@ -1,12 +1,9 @@
 """Machine-readable descriptions of a release: Croissant, and an RO-Crate of every job behind it.
 
-The crate follows Process, Workflow and Provenance Run Crate 0.5 and Workflow RO-Crate 1.0: the
-Snakefile is the main entity, the run of the whole workflow is one ``CreateAction``, every job
-another one. Each stage is a step of the workflow (``HowToStep``), each job was started for its step
-by Snakemake (``ControlAction``, ``OrganizeAction``). Files between the jobs are not in the release:
-they appear as contextual entities with their digests, described by the records that the release
-carries. Left out is what no record holds: when each job began, and parameters one by one
-(``FormalParameter``); the configuration stands for these.
+The crate follows Process, Workflow and Provenance Run Crate 0.5 and Workflow RO-Crate 1.0: the run
+of the whole workflow is one ``CreateAction``, every job another, started for a step of the workflow
+(``HowToStep``) by Snakemake (``ControlAction``). Files between the jobs are contextual entities.
+Left out is what no record holds: when each job began, and parameters one by one.
 """
 
 import datetime
@@ -45,12 +42,10 @@ _KINDS = {
 
 
 def _field(record_set: str, column: pa.Field, source: dict[str, str]) -> mlc.Field:
+    is_image = pa.types.is_struct(column.type)  # as Hugging Face datasets lays it out
+    kind = mlc.DataType.IMAGE_OBJECT if is_image else _KINDS.get(column.type, mlc.DataType.TEXT)
+    transforms = [mlc.Transform(json_path="bytes")] if is_image else []
     extract = mlc.Extract(column=column.name)
-    transforms = []
-    kind = _KINDS.get(column.type, mlc.DataType.TEXT)
-    if pa.types.is_struct(column.type):  # an image as Hugging Face datasets lays it out
-        transforms = [mlc.Transform(json_path="bytes")]
-        kind = mlc.DataType.IMAGE_OBJECT
     of_video = record_set == FRAMES and column.name == "video"
     more = {"references": mlc.Source(field=f"{VIDEOS}/video")} if of_video else {}
     return mlc.Field(

@@ -27,6 +27,7 @@ CROISSANT = "croissant.json"
 CRATE = "ro-crate-metadata.json"
 RECORD_SUFFIX = ".record.json"
 _SIMULATE = "results/simulate/"
+_AGAIN = "snakemake --cores 2 sample"
 # Of a trajectory: the mesh follows from the settings and would be most of the record.
 NOT_RECORDED = ("provenance", "mesh")
 
@@ -86,7 +87,7 @@ def rows_digest(path: str | os.PathLike) -> str:
 def read_artefact(path: str, place: Path) -> Artefact:
     """The record of the file at `place`, which records call `path`; BadInput if it has none."""
     if not place.is_file():
-        raise BadInput(f"{path}: no such file; make it with: snakemake --cores 2 sample")
+        raise BadInput(f"{path}: no such file; make it with: {_AGAIN}")
     parquet = place.suffix == ".parquet"
     metadata = read_metadata(place) if parquet else {}
     rows = rows_digest(place) if parquet else None
@@ -94,9 +95,7 @@ def read_artefact(path: str, place: Path) -> Artefact:
         # What a file from outside was made from is not followed: photographs of a board, say.
         provenance = read_provenance(place) if is_ours(path) else None
     except FileNotFoundError:
-        raise BadInput(
-            f"{path}: no provenance record; regenerate it with: snakemake --cores 2 sample"
-        ) from None
+        raise BadInput(f"{path}: no provenance record; regenerate it with: {_AGAIN}") from None
     kept = {key: value for key, value in metadata.items() if key not in NOT_RECORDED}
     return Artefact(path, file_digest(place), rows, kept, provenance)
 
@@ -130,10 +129,8 @@ def collect(start: Iterable[str], root: Path, outside: Mapping[str, Path]) -> di
             artefact = read_artefact(path, locate(path, root, outside))
             for name, digest in artefact.inputs.items():
                 if visit(name).sha256 != digest:
-                    raise BadInput(
-                        f"{name}: not the file that {path} was made from; update the results "
-                        "with: snakemake --cores 2 sample"
-                    )
+                    other = f"{name}: not the file that {path} was made from"
+                    raise BadInput(f"{other}; update the results with: {_AGAIN}")
             found[path] = artefact
         return found[path]
 

@@ -1,6 +1,5 @@
 """Image shards of a release, one part of the splits per shard, and previews drawn from them."""
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -14,7 +13,7 @@ from PIL import Image, ImageDraw, ImageFont
 from slipstitch.base.errors import BadInput
 from slipstitch.base.page.wording import evenly
 from slipstitch.base.provenance import read_parquet
-from slipstitch.dataset.videos import decode
+from slipstitch.dataset.videos import DATASET_SCHEMA, decode
 
 PREVIEWS = "previews"
 NAMES = ("fabrics_by_friction", "viewpoints_by_texture", "through_time")
@@ -95,46 +94,34 @@ def write_previews(folder: Path, rows: Sequence[Row]) -> dict[str, str]:
     alike = [row for row in rows if all(row[k] == first[k] for k in ("texture_id", "viewpoint_id"))]
     pictures: dict[str, str] = {}
 
-    def draw(name: str, tiles, downs, acrosses, words: str) -> None:
+    def draw(name: str, words: str, tiles, downs, acrosses) -> None:
         path = f"{PREVIEWS}/{name}.png"
         sheet(tiles, downs, acrosses).save(folder / path)
         pictures[path] = words
 
-    tiles, downs, acrosses = _table(alike, "material", "friction", middle, show)
-    draw(
-        NAMES[0], tiles, downs, [f"friction {mu:g}" for mu in acrosses],
-        f"Fabrics by friction coefficient, all at the same time (texture {first['texture']}, "
-        f"viewpoint {first['viewpoint']})",
-    )  # fmt: skip
+    tiles, downs, frictions = _table(alike, "material", "friction", middle, show)
+    words = "Fabrics by friction coefficient, all at the same time (texture {texture}, viewpoint "
+    words += "{viewpoint})"
+    draw(NAMES[0], words.format(**first), tiles, downs, [f"friction {mu:g}" for mu in frictions])
     same = [row for row in rows if row["simulation"] == first["simulation"]]
-    tiles, downs, acrosses = _table(same, "viewpoint", "texture", middle, show)
-    draw(
-        NAMES[1], tiles, downs, acrosses,
-        f"One moment of one simulation ({first['material']}, friction {first['friction']:g}) from "
-        "every viewpoint in every texture",
-    )  # fmt: skip
-    positions = evenly(range(first["frames"]), 8)
-    chosen = evenly(alike, 6)
-    draw(
-        NAMES[2],
-        [[show(row, position) for position in positions] for row in chosen],
-        [f"{row['material']}\nfriction {row['friction']:g}" for row in chosen],
-        [f"image {position}" for position in positions],
-        "Videos over time, one per row",
-    )
+    words = "One moment of one simulation ({material}, friction {friction:g}) from every viewpoint "
+    words += "in every texture"
+    draw(NAMES[1], words.format(**first), *_table(same, "viewpoint", "texture", middle, show))
+    positions, chosen = evenly(range(first["frames"]), 8), evenly(alike, 6)
+    tiles = [[show(row, position) for position in positions] for row in chosen]
+    downs = [f"{row['material']}\nfriction {row['friction']:g}" for row in chosen]
+    draw(NAMES[2], "Videos over time, one per row", tiles, downs, [f"image {k}" for k in positions])
     return pictures
 
 
 FOLDER = "data"
-HUGGING_FACE = b"huggingface"
 
 
 class PartWriter:
     """Writes the shards of one part; a new one begins when `shard_bytes` are passed."""
 
-    def __init__(self, folder: Path, part: str, schema: pa.Schema, shard_bytes: float):
-        self.folder, self.part, self.schema = folder, part, schema
-        self.shard_bytes = shard_bytes
+    def __init__(self, folder: Path, part: str, shard_bytes: float):
+        self.folder, self.part, self.shard_bytes = folder, part, shard_bytes
         self.rows: list[int] = []
         self._writer: pq.ParquetWriter | None = None
         self._bytes = 0
@@ -146,10 +133,10 @@ class PartWriter:
         """Append rows that must stay together; return (number of the shard, first row in it)."""
         if self._writer is None:
             # PNG does not compress any further, the labels do.
-            labels = [name for name in self.schema.names if name != "image"]
+            labels = [name for name in DATASET_SCHEMA.names if name != "image"]
             self._writer = pq.ParquetWriter(
                 self._path(len(self.rows)),
-                self.schema,
+                DATASET_SCHEMA,
                 compression={**dict.fromkeys(labels, "ZSTD"), "image": "NONE"},
                 use_dictionary=labels,
             )
@@ -180,18 +167,6 @@ class PartWriter:
         return names
 
 
-def shard_schema(schema: pa.Schema) -> pa.Schema:
-    """The sample stage's schema with the Hugging Face features and nothing that a run leaves."""
-    features = (schema.metadata or {}).get(HUGGING_FACE)
-    return schema.with_metadata({HUGGING_FACE: features} if features else None)
-
-
-def features_of(schema: pa.Schema) -> dict[str, Any]:
-    """Hugging Face features of a shard, empty if it names none."""
-    text = (schema.metadata or {}).get(HUGGING_FACE)
-    return json.loads(text)["info"]["features"] if text else {}
-
-
 def write_shards(
     sample_dir: Path,
     rows: Sequence[Mapping[str, Any]],
@@ -207,31 +182,25 @@ def write_shards(
     folder = out / FOLDER
     folder.mkdir()
     files = list(dict.fromkeys(row["file"] for row in rows))
-    schema = shard_schema(pq.read_schema(sample_dir / files[0]))
     writers = {
-        part: PartWriter(folder, part, schema, shard_mb * 1e6)
-        for part in sorted(set(part_of.values()))
+        part: PartWriter(folder, part, shard_mb * 1e6) for part in sorted(set(part_of.values()))
     }
     frames = {row["video"]: row["frames"] for row in rows}
-    videos_of: dict[str, list[str]] = {file: [] for file in files}
-    for row in rows:
-        videos_of[row["file"]].append(row["video"])
+    videos_of = {file: [row["video"] for row in rows if row["file"] == file] for file in files}
     places: dict[str, tuple[str, int, int]] = {}
     try:
         for file in progress(files):
             table = read_parquet(sample_dir / file)
-            if shard_schema(table.schema) != schema:
-                raise BadInput(f"{sample_dir / file}: columns differ from {files[0]}")
-            table = table.replace_schema_metadata(schema.metadata)
+            if not table.schema.equals(DATASET_SCHEMA):
+                raise BadInput(f"{sample_dir / file}: its columns are not those of the dataset")
+            table = table.replace_schema_metadata(DATASET_SCHEMA.metadata)  # none of the run's
             starts = _starts(table, sample_dir / file)
             for part in sorted({part_of[video] for video in videos_of[file]}):
                 videos = [video for video in videos_of[file] if part_of[video] == part]
                 for video in videos:
                     if starts.get(video, (0, 0))[1] != frames[video]:
-                        raise BadInput(
-                            f"{sample_dir / file}: not the {frames[video]} rows of {video} that "
-                            "the manifest has"
-                        )
+                        what = f"not the {frames[video]} rows of {video} that the manifest has"
+                        raise BadInput(f"{sample_dir / file}: {what}")
                 together = pa.concat_tables(table.slice(*starts[video]) for video in videos)
                 number, first = writers[part].write(together.combine_chunks())
                 for video in videos:
