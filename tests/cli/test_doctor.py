@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -28,11 +29,9 @@ def test_here_where_the_tests_run_nothing_is_missing(capsys):
 
 def test_before_anything_is_installed_it_says_what_is_missing():
     words = [sys.executable, "-S", "-m", "slipstitch", "doctor"]  # -S: no site-packages
-    answer = subprocess.run(
-        words, capture_output=True, text=True, env={**os.environ, "PYTHONPATH": str(ROOT / "src")}
-    )
-    assert answer.returncode == 1
-    assert answer.stderr == ""
+    env = {**os.environ, "PYTHONPATH": str(ROOT / "src")}
+    answer = subprocess.run(words, capture_output=True, text=True, env=env)
+    assert (answer.returncode, answer.stderr) == (1, "")
     assert "MISSING packages" in answer.stdout
 
 
@@ -57,17 +56,8 @@ def test_absent_package_is_missing_and_other_version_is_noted(monkeypatch, tmp_p
     file.write_text("numpy==1.0.0\n")
     assert checks.check_packages(file).state is Standing.NOTE
     # The local part of a version does not count.
-    monkeypatch.setattr(checks.importlib.metadata, "version", lambda package: "1.0.0+cpu")
+    monkeypatch.setattr(checks, "installed_version", lambda package: "1.0.0+cpu")
     assert checks.check_packages(file).state is Standing.GOOD
-
-
-def test_failing_import_of_blender_is_found(monkeypatch):
-    monkeypatch.setattr(
-        checks, "_in_a_process", lambda *words: (False, "ImportError: libSM.so.6: cannot open")
-    )
-    finding = checks.check_blender()
-    assert finding.state is Standing.MISSING
-    assert "libSM.so.6" in finding.found
 
 
 def test_process_that_crashes_or_hangs_is_no_answer():
@@ -76,15 +66,16 @@ def test_process_that_crashes_or_hangs_is_no_answer():
     assert checks._in_a_process("-c", "print('fine')") == (True, "fine")
 
 
-def test_missing_library_is_named_with_its_packages(monkeypatch):
-    class Answer:
-        stdout = "libSM.so.6 => not found\nlibc.so.6 => /lib/libc.so.6 (0x0)\n"
-
-    monkeypatch.setattr(checks.subprocess, "run", lambda *words, **options: Answer)
-    finding = checks.check_system_libraries()
-    assert finding.state is Standing.MISSING
-    assert finding.found == "libSM.so.6"
-    assert "libsm6" in finding.remedy
+def test_failing_import_of_blender_and_a_missing_library_are_named(monkeypatch):
+    failed = False, "ImportError: libSM.so.6: cannot open"
+    monkeypatch.setattr(checks, "_in_a_process", lambda *words: failed)
+    linked = "libSM.so.6 => not found\nlibc.so.6 => /lib/libc.so.6 (0x0)\n"
+    answer = SimpleNamespace(stdout=linked)
+    monkeypatch.setattr(checks.subprocess, "run", lambda *words, **options: answer)
+    found = (checks.check_blender(), "make"), (checks.check_system_libraries(), "libsm6")
+    for finding, remedy in found:
+        assert finding.state is Standing.MISSING
+        assert "libSM.so.6" in finding.found and remedy in finding.remedy
 
 
 def test_without_blender_a_job_says_whom_to_ask(monkeypatch):
@@ -93,15 +84,12 @@ def test_without_blender_a_job_says_whom_to_ask(monkeypatch):
         ClothScene(np.array([[0, 1, 2]]), np.zeros((3, 2)))
 
 
-@pytest.mark.parametrize(
-    ("flags", "fast"), [("fpu avx2 avx512f avx512_bf16", True), ("fpu avx2", False)]
-)
-def test_processor_says_whether_training_is_fast(tmp_path, flags, fast):
-    file = tmp_path / "cpuinfo"
-    file.write_text(f"processor\t: 0\nflags\t\t: {flags}\n")
-    finding = checks.check_processor(file)
-    assert (finding.state is Standing.GOOD) == fast
-    assert ("bfloat16 training" in finding.found) == fast
+@pytest.mark.parametrize("flags", ["avx2", "avx2 avx512f avx512_bf16"])
+def test_processor_says_whether_training_is_fast(tmp_path, flags):
+    (tmp_path / "cpuinfo").write_text(f"processor\t: 0\nflags\t\t: fpu {flags}\n")
+    finding = checks.check_processor(tmp_path / "cpuinfo")
+    fast = "bf16" in flags
+    assert (finding.state is Standing.GOOD, "bfloat16 training" in finding.found) == (fast, fast)
 
 
 def test_full_disk_and_other_python_are_missing(monkeypatch, tmp_path):
@@ -112,12 +100,13 @@ def test_full_disk_and_other_python_are_missing(monkeypatch, tmp_path):
 
 
 def test_requirements_are_those_of_the_lock():
-    direct = pinned_versions(ROOT / "envs/requirements.txt")
-    direct |= pinned_versions(ROOT / "envs/development.txt")
-    locked = pinned_versions(ROOT / "envs/requirements.lock").items()
-    lock = {name.lower(): version for name, version in locked}
+    direct, more, locked = (
+        pinned_versions(ROOT / f"envs/{name}")
+        for name in ("requirements.txt", "development.txt", "requirements.lock")
+    )
+    lock = {name.lower(): version for name, version in locked.items()}
     assert len(direct) > 15
-    for package, version in direct.items():
+    for package, version in (direct | more).items():
         assert lock.get(package.lower()) == version, package
 
 

@@ -17,9 +17,8 @@ class Damaged(BadInput):
     """A file that is damaged or altered, for a reason; the message says how to regenerate it."""
 
     def __init__(self, path: str | os.PathLike, reason: str):
-        path = os.fspath(path)
-        again = ""
-        if not os.path.isabs(path) and os.path.normpath(path).split(os.sep)[0] == "results":
+        path, again = os.fspath(path), ""
+        if os.path.normpath(path).split(os.sep)[0] == "results":
             again = f"; regenerate it with: snakemake --cores 2 all --forcerun {shlex.quote(path)}"
         super().__init__(f"{path}: {reason}{again}")
 

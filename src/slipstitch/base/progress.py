@@ -23,8 +23,7 @@ class _Lines:
         self._stream = stream
 
     def write(self, text: str) -> None:
-        line = text.strip()
-        if line:
+        if line := text.strip():
             self._stream.write(line + "\n")
 
     def flush(self) -> None:
@@ -45,16 +44,8 @@ def progress(
     and nothing at all in jobs that are shorter. `description` goes in front, `unit` is one item in
     the singular; `total` says how many there are, and `initial` with how many it begins.
     """
-    options = {"unit": unit, "total": total, "initial": initial, "desc": description}
+    options: dict = {"unit": unit, "total": total, "initial": initial, "desc": description}
     if sys.stderr.isatty():
         return tqdm(items, file=sys.stderr, **options)
-    return tqdm(
-        items,
-        file=_Lines(sys.stderr),
-        bar_format=_LINE,
-        mininterval=LINE_INTERVAL_S,
-        delay=LINE_INTERVAL_S,
-        miniters=1,
-        leave=False,
-        **options,
-    )
+    options |= {"mininterval": LINE_INTERVAL_S, "delay": LINE_INTERVAL_S, "miniters": 1}
+    return tqdm(items, file=_Lines(sys.stderr), bar_format=_LINE, leave=False, **options)

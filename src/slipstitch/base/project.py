@@ -1,5 +1,7 @@
 """The workflow's own files: beside the sources of a checkout, or installed with the package."""
 
+import functools
+import importlib.metadata
 import shutil
 from pathlib import Path
 
@@ -7,16 +9,8 @@ from slipstitch.base.errors import BadInput
 
 # What a workflow folder consists of; setup.py puts the same into the wheel.
 PARTS = (
-    "Snakefile",
-    "config.yaml",
-    "config",
-    "data/cases",
-    "envs",
-    "profiles",
-    "rules",
-    "workflow",
-    "CITATION.cff",
-    "LICENSE",
+    *("Snakefile", "config.yaml", "config", "data/cases", "envs", "profiles", "rules", "workflow"),
+    *("CITATION.cff", "LICENSE"),
 )
 INSTALLED = "slipstitch_workflow"  # beside the package: no stage's code digest covers it
 PACKAGE = Path(__file__).resolve().parents[1]
@@ -33,6 +27,15 @@ def pinned_versions(requirements: Path) -> dict[str, str]:
     lines = requirements.read_text(encoding="utf-8").splitlines() if requirements.is_file() else []
     pinned = (line.partition("#")[0].partition(";")[0].split("==") for line in lines)
     return {pair[0].strip(): pair[1].strip() for pair in pinned if len(pair) == 2}
+
+
+@functools.cache
+def installed_version(package: str) -> str | None:
+    """Return the version of an installed package; None if the package is not installed."""
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
 
 
 def copy_parts(source: Path, target: Path) -> None:

@@ -75,10 +75,10 @@ def read_cells(path: str | os.PathLike, known: Collection[str], most_bytes: floa
     body = [cells for _, cells in rows]
     if _decimal_commas(path, body, separator):
         notes.append("read with decimal commas")
-        body = [[_with_point(cell) for cell in cells] for cells in body]
-    return Cells(
-        header, body, [line for line, _ in rows], units, tuple(f"{path}: {note}" for note in notes)
-    )
+        numbers = _COMMA_NUMBER.fullmatch
+        body = [[c.replace(",", ".") if numbers(c.strip()) else c for c in cells] for cells in body]
+    lines = [line for line, _ in rows]
+    return Cells(header, body, lines, units, tuple(f"{path}: {note}" for note in notes))
 
 
 def _decoded(path: str | os.PathLike, most_bytes: float) -> tuple[str, list[str]]:
@@ -126,16 +126,13 @@ def _separator(text: str, known: Collection[str]) -> tuple[str, int, int]:
 def _split(path, text: str, separator: str, before: int) -> list[tuple[int, list[str]]]:
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
     try:
-        return [
-            (before + reader.line_num, cells)
-            for cells in reader
-            if any(cell and not cell.isspace() for cell in cells)
-        ]
+        rows = [(before + reader.line_num, cells) for cells in reader]
     except csv.Error:
         raise BadInput(
             f"{path} line {before + reader.line_num}: not CSV: a quotation mark is not closed or "
             "followed by text, or a cell is endless"
         ) from None
+    return [(line, cells) for line, cells in rows if any(cell.strip() for cell in cells)]
 
 
 def _without_unnamed(path, header: list[str], rows: list, separator: str):
@@ -144,20 +141,13 @@ def _without_unnamed(path, header: list[str], rows: list, separator: str):
     kept = [i for i, name in enumerate(header) if name]
     result = []
     for line, cells in rows:
-        if len(cells) != count:
-            if len(cells) < count or any(cell.strip() for cell in cells[count:]):
-                why = ""
-                if separator == "," and len(cells) > count:
-                    why = "; commas between cells and in numbers? " + _EXPORT
-                raise BadInput(
-                    f"{path} line {line}: {len(cells)} cells, the header has {count}{why}"
-                )
-            cells = cells[:count]
-        if len(kept) < count:
-            if any(cell.strip() for i, cell in enumerate(cells) if not header[i]):
-                raise BadInput(f"{path} line {line}: a value below no name of a column")
-            cells = [cells[i] for i in kept]
-        result.append((line, cells))
+        if len(cells) < count or any(cell.strip() for cell in cells[count:]):
+            more = separator == "," and len(cells) > count
+            why = f"; commas between cells and in numbers? {_EXPORT}" if more else ""
+            raise BadInput(f"{path} line {line}: {len(cells)} cells, the header has {count}{why}")
+        if any(cell.strip() for name, cell in zip(header, cells, strict=False) if not name):
+            raise BadInput(f"{path} line {line}: a value below no name of a column")
+        result.append((line, [cells[i] for i in kept]))
     return [header[i] for i in kept], result
 
 
@@ -176,14 +166,11 @@ def _units(path, header: list[str], line: int, cells: list[str]) -> list[str]:
     if all(not unit or NUMBER.fullmatch(unit) for unit in units):
         return []
     for name, unit, cell in zip(header, units, cells, strict=True):
-        own = next((name[i + 1 :] for i in _ends(name) if name[i + 1 :] in UNITS), None)
+        ends = (name[i + 1 :] for i, character in enumerate(name) if character == "_")
+        own = next((end for end in ends if end in UNITS), None)
         if unit and own not in (None, unit):
             raise BadInput(f"{path} line {line}: column {name}: in {cell.strip()} by its unit")
     return units
-
-
-def _ends(name: str) -> Iterable[int]:
-    return (i for i, character in enumerate(name) if character == "_")
 
 
 def _decimal_commas(path, body: list[list[str]], separator: str) -> bool:
@@ -211,10 +198,6 @@ def _decimal_commas(path, body: list[list[str]], separator: str) -> bool:
     return True
 
 
-def _with_point(cell: str) -> str:
-    return cell.replace(",", ".") if _COMMA_NUMBER.fullmatch(cell.strip()) else cell
-
-
 def in_radians(slip_angles: Iterable[float]) -> bool:
     """Say whether slip angles, stated in degrees, must be radians: none reaches 2."""
     angles = np.abs(np.asarray(list(slip_angles), float))
@@ -223,9 +206,8 @@ def in_radians(slip_angles: Iterable[float]) -> bool:
 
 def directions_in_radians(directions: Iterable[float]) -> bool:
     """Say whether directions, stated in degrees, must be radians: multiples of 45 degrees."""
-    angles = np.asarray(list(directions), float)
-    angles = np.abs(angles[np.isfinite(angles)])
-    turned = angles[angles > 0]
+    angles = np.abs(np.asarray(list(directions), float))
+    turned = angles[np.isfinite(angles) & (angles > 0)]
     if not len(turned) or turned.max() > 2 * np.pi + 0.01:
         return False
     eighths = turned / (np.pi / 4)

@@ -56,15 +56,8 @@ VIEWPOINTS: dict[str, Viewpoint] = {
 #: Name -> seed of the texture's random choices. The last one is the paper's "unseen texture": it
 #: may be used to test a network, never to train one.
 TEXTURES: dict[str, int] = {
-    "stripes": 101,
-    "checks": 102,
-    "tartan": 103,
-    "dots": 104,
-    "houndstooth": 105,
-    "floral": 106,
-    "denim": 107,
-    "linen": 108,
-    "chevron": 109,
+    **{"stripes": 101, "checks": 102, "tartan": 103, "dots": 104, "houndstooth": 105},
+    **{"floral": 106, "denim": 107, "linen": 108, "chevron": 109},
 }
 TEST_ONLY_TEXTURES: frozenset[str] = frozenset({"chevron"})
 #: Textures drawn anew for every film: pattern, scale, colours and contrast.

@@ -4,6 +4,7 @@ Pydantic and the standard library only.
 """
 
 import re
+from itertools import product
 from pathlib import PurePath
 from typing import Annotated, Literal
 
@@ -65,15 +66,16 @@ class PublishSettings(Section):
     """folder below results/published: letters, digits, dot, dash, underscore"""
 
 
+_CASES = (
+    *("paper_on_paper", "block_on_wood_board", "block_on_other_board"),
+    "surrogate_anisotropic",
+)
+
+
 class CriticiseSettings(Section):
     """The measured cases."""
 
-    cases: tuple[str, ...] = (
-        "data/cases/paper_on_paper",
-        "data/cases/block_on_wood_board",
-        "data/cases/block_on_other_board",
-        "data/cases/surrogate_anisotropic",
-    )
+    cases: tuple[str, ...] = tuple(f"data/cases/{name}" for name in _CASES)
     """case folders (docs/criticise-your-data.md), relative to the working folder, or included in
     the workflow; a folder's name is the case's id"""
 
@@ -81,9 +83,8 @@ class CriticiseSettings(Section):
     @classmethod
     def _named_apart(cls, cases: tuple[str, ...]) -> tuple[str, ...]:
         names = [PurePath(case).name for case in cases]
-        for name in names:
-            if not re.fullmatch(r"\w[\w-]*", name):
-                raise ValueError(f"case folder {name!r}: may contain only letters, digits, - and _")
+        if odd := [name for name in names if not re.fullmatch(r"\w[\w-]*", name)]:
+            raise ValueError(f"case folder {odd[0]!r}: may contain only letters, digits, - and _")
         if len(set(names)) != len(names):
             raise ValueError(f"case folders with the same name: {', '.join(sorted(names))}")
         return cases
@@ -143,8 +144,5 @@ class CaptureSettings(Section):
 
     def surrogate_ids(self) -> list[str]:
         """Ids of the videos, c00_r01 ... as in a captures table."""
-        return [
-            f"c{pair:02d}_r{repeat:02d}"
-            for pair in range(len(self.pairs))
-            for repeat in range(1, self.repeats + 1)
-        ]
+        numbers = product(range(len(self.pairs)), range(1, self.repeats + 1))
+        return [f"c{pair:02d}_r{repeat:02d}" for pair, repeat in numbers]

@@ -74,10 +74,10 @@ def _numbers(value: Any, words: bool = False) -> Any:
 
 
 def _kind(value: Any) -> str:
-    if value is None or isinstance(value, bool):
-        return {None: "nothing", True: "true", False: "false"}[value]
-    names: dict[type, str] = {dict: "a mapping", list: "a list"}
-    return names.get(type(value), repr(value))
+    if isinstance(value, dict | list):
+        return "a mapping" if isinstance(value, dict) else "a list"
+    words = {None: "nothing", True: "true", False: "false"}
+    return words[value] if value is None or isinstance(value, bool) else repr(value)
 
 
 def _known_beside(location: tuple) -> list[str]:
@@ -90,11 +90,11 @@ def _known_beside(location: tuple) -> list[str]:
 
 
 def _holds(mapping: Any, location: tuple) -> bool:
-    for key in location:
-        try:
+    try:
+        for key in location:
             mapping = mapping[key]
-        except (KeyError, IndexError, TypeError):
-            return False
+    except (KeyError, IndexError, TypeError):
+        return False
     return True
 
 
@@ -147,10 +147,8 @@ def resolve_config(
         merged = _merge(merged, mapping)
 
     def source(location: tuple) -> str:
-        for mapping, name in zip(reversed(plain), reversed(sources), strict=False):
-            if _holds(mapping, location):
-                return f"{name}: "
-        return ""
+        named = zip(reversed(plain), reversed(sources), strict=False)
+        return next((f"{name}: " for mapping, name in named if _holds(mapping, location)), "")
 
     try:
         merged = without_former_keys("", merged)
@@ -163,11 +161,7 @@ def resolve_config(
         problems = error.errors()
         # A list with a bad entry is also reported as too short: the entry is the thing to say.
         inner = {problem["loc"][:-1] for problem in problems if problem["loc"]}
-        lines = [
-            f"{source(problem['loc'])}{_line(problem)}"
-            for problem in problems
-            if problem["loc"] not in inner
-        ]
+        lines = [f"{source(one['loc'])}{_line(one)}" for one in problems if one["loc"] not in inner]
         raise BadInput("; ".join(dict.fromkeys(lines))) from None
     except TypeError as error:
         raise BadInput(f"configuration: {error}") from None

@@ -76,12 +76,11 @@ class Config(Section):
 
     def _benches_tell_no_coefficient(self) -> None:
         """A camera of a family stands elsewhere in every simulation, which tells them apart."""
-        for name in self.render.test_viewpoints:
-            if VIEWPOINTS[name].drawn:
-                raise ValueError(
-                    f"render.test_viewpoints: {name!r} is another camera in every simulation; put "
-                    "it in render.viewpoints, whole simulations are held out for testing"
-                )
+        for name in (one for one in self.render.test_viewpoints if VIEWPOINTS[one].drawn):
+            raise ValueError(
+                f"render.test_viewpoints: {name!r} is another camera in every simulation; put it "
+                "in render.viewpoints, whole simulations are held out for testing"
+            )
         drawn = [name for name in self.render.viewpoints if VIEWPOINTS[name].drawn]
         if self.grid.own_benches and len(drawn) < len(self.render.viewpoints):
             raise ValueError(

@@ -4,17 +4,13 @@ from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
-from slipstitch.config.catalogue import (
-    FLOORS,
-    TEST_ONLY_TEXTURES,
-    TEXTURE_FAMILY,
-    TEXTURES,
-    VIEWPOINTS,
-    is_texture_file,
-)
-from slipstitch.config.section import Section, known, once
+from slipstitch.config import catalogue
+from slipstitch.config.catalogue import FLOORS, VIEWPOINTS, is_texture_file
+from slipstitch.config.section import Section, apart, known, once
 
-_of_texture = known("texture", lambda: (*TEXTURES, *TEXTURE_FAMILY), is_texture_file)
+_of_texture = known(
+    "texture", lambda: (*catalogue.TEXTURES, *catalogue.TEXTURE_FAMILY), is_texture_file
+)
 Textures = Annotated[list[str], _of_texture, once("duplicate texture")]
 Floors = Annotated[list[str], known("floor", lambda: FLOORS), once("duplicate floor")]
 Viewpoints = Annotated[
@@ -92,18 +88,12 @@ class RenderSettings(Section):
 
     @model_validator(mode="after")
     def _train_and_test_are_apart(self) -> "RenderSettings":
-        for kind in ("textures", "viewpoints"):
-            train, test = getattr(self, kind), getattr(self, f"test_{kind}")
-            both = sorted(set(train) & set(test))
-            if both:
-                raise ValueError(f"{kind} and test_{kind} share {', '.join(both)}")
-        test_only = sorted(set(self.textures) & TEST_ONLY_TEXTURES) + sorted(
+        apart(self, "textures", "viewpoints")
+        test_only = sorted(set(self.textures) & catalogue.TEST_ONLY_TEXTURES) + sorted(
             name for name in self.viewpoints if VIEWPOINTS[name].test_only
         )
         if test_only:
-            raise ValueError(
-                f"{', '.join(test_only)}: for testing only, must not be used for training"
-            )
+            raise ValueError(f"{', '.join(test_only)}: for testing only, must not be used to train")
         return self
 
     def camera_of(self, viewpoint: str) -> str | None:

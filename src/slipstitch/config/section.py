@@ -99,6 +99,14 @@ def once(problem: str) -> AfterValidator:
     return AfterValidator(check)
 
 
+def apart(section: Section, *kinds: str) -> None:
+    """Refuse a section of which a list for training and the one for testing share something."""
+    for kind in kinds:
+        both = sorted(set(getattr(section, kind)) & set(getattr(section, f"test_{kind}")))
+        if both:
+            raise ValueError(f"{kind} and test_{kind} share {', '.join(map(str, both))}")
+
+
 def _increasing(frictions: tuple[float, ...]) -> tuple[float, ...]:
     if any(after <= before for before, after in pairwise(frictions)):
         raise ValueError("friction coefficients must increase along the list")

@@ -3,31 +3,36 @@
 Pydantic and the standard library only.
 """
 
-import math
 from itertools import pairwise
-from math import ceil, floor
+from math import ceil, floor, gcd
 from typing import Annotated, Literal
 
 from pydantic import Field, field_validator, model_validator
 
-from slipstitch.config.section import Fabrics, Frictions, RecordedSection, Section
+from slipstitch.config.section import Fabrics, Frictions, RecordedSection, Section, apart
 
 SIDE_M = 0.20  # of the square of cloth
 # Fabrics whose folds' stiffness follows the end of a step whatever bending_stiffness_at says: the
 # cheaper rules were measured to be wrong for them (docs/how/physics.md).
 BENT_AT_END = ("tango-red-jet-set",)
+# Of the convergence study, by name: a fabric added to the catalogue changes no configuration.
+STUDIED_FABRICS = (
+    *("ivory-rib-knit", "pink-ribbon-brown", "white-dots-on-blk", "navy-sparkle-sweat"),
+    *("camel-ponte-roma", "gray-interlock", "11oz-black-denim", "white-swim-solid"),
+    *("tango-red-jet-set", "royal-target"),
+)
 # What is swept: settings of the section ``simulation``, and the vertices along the strip; and the
 # name of the configured settings themselves.
 KEYS = ("time_step_s", "vertices", "friction_tolerance", "newton_iterations_max", "damping_s")
 BASE = "base"
+TOLERANCES = (1e-2, 1.0, 10.0)
+DEMO_FABRICS = ("gray-interlock", "11oz-black-denim", "ivory-rib-knit")
 
 
 class GridSettings(Section):
     """The simulations: every material with every friction coefficient, some times over."""
 
-    materials: Fabrics = Field(
-        ("gray-interlock", "11oz-black-denim", "ivory-rib-knit"), min_length=1
-    )
+    materials: Fabrics = Field(DEMO_FABRICS, min_length=1)
     """fabrics by name; ids m00..m09 are positions in the catalogue of ten"""
     frictions: Frictions = Field((0.1, 0.3, 0.6, 1.0), min_length=1, max_length=100)
     """friction coefficients, increasing, multiples of 0.001; id f0350 is 0.35"""
@@ -45,10 +50,7 @@ class GridSettings(Section):
 
     @model_validator(mode="after")
     def _training_and_testing_are_apart(self) -> "GridSettings":
-        for kind in ("materials", "frictions"):
-            both = set(getattr(self, kind)) & set(getattr(self, f"test_{kind}"))
-            if both:
-                raise ValueError(f"{kind} and test_{kind} share {', '.join(map(str, both))}")
+        apart(self, "materials", "frictions")
         return self
 
 
@@ -72,9 +74,7 @@ class StageSettings(Section):
     @model_validator(mode="after")
     def _brings_the_cloth_to_the_floor(self) -> "StageSettings":
         if self.drop_m >= self.start_height_m:
-            raise ValueError(
-                "drop_m must be less than start_height_m; otherwise the clamps hit the floor"
-            )
+            raise ValueError("drop_m must be less than start_height_m: the clamps hit the floor")
         if round(self.start_height_m - self.drop_m, 9) >= SIDE_M:
             raise ValueError(
                 f"drop_m must be more than {self.start_height_m - SIDE_M:g}, not {self.drop_m:g}; "
@@ -210,11 +210,7 @@ class CalibrateSettings(Section):
     """time steps tried in addition to simulation.time_step_s"""
     sweep_vertices: tuple[Annotated[int, Field(ge=8, le=1000)], ...] = (8, 15, 41)
     """vertices tried in addition to strip_vertices"""
-    sweep_friction_tolerance: tuple[Annotated[float, Field(gt=0.0, le=100.0)], ...] = (
-        1e-2,
-        1.0,
-        10.0,
-    )
+    sweep_friction_tolerance: tuple[Annotated[float, Field(gt=0.0, le=100.0)], ...] = TOLERANCES
     """tolerances tried in addition to simulation.friction_tolerance"""
     sweep_newton_iterations_max: tuple[Annotated[int, Field(ge=1, le=1000)], ...] = (3, 10)
     """limits tried in addition to simulation.newton_iterations_max"""
@@ -231,22 +227,7 @@ class ConvergenceSettings(Section):
     the tolerance a sixteenth, and the stiffness of folds implicit.
     """
 
-    # By name: a fabric that is added to the catalogue changes no configuration.
-    materials: Fabrics = Field(
-        (
-            "ivory-rib-knit",
-            "pink-ribbon-brown",
-            "white-dots-on-blk",
-            "navy-sparkle-sweat",
-            "camel-ponte-roma",
-            "gray-interlock",
-            "11oz-black-denim",
-            "white-swim-solid",
-            "tango-red-jet-set",
-            "royal-target",
-        ),
-        min_length=1,
-    )
+    materials: Fabrics = Field(STUDIED_FABRICS, min_length=1)
     """fabrics of the catalogue"""
     frictions: Frictions = Field((0.1, 0.5, 1.5), min_length=1)
     """friction coefficients, increasing, multiples of 0.001; between two, the worse of them is
@@ -263,10 +244,9 @@ class ConvergenceSettings(Section):
     def _share_places(cls, sides: tuple[int, ...]) -> tuple[int, ...]:
         if any(after <= before for before, after in pairwise(sides)) or sides[0] < 5:
             raise ValueError("meshes must increase along the list, from 5 vertices per side")
-        if math.gcd(*(side - 1 for side in sides)) < 4:
+        if gcd(*(side - 1 for side in sides)) < 4:
             raise ValueError(
-                f"meshes of {', '.join(map(str, sides))} vertices per side have too few "
-                "positions in common: one less than each must be a multiple of 4 or more, e.g. "
-                "41, 61, 81"
+                f"meshes of {', '.join(map(str, sides))} vertices per side have too few positions "
+                "in common: one less than each must be a multiple of 4 or more, e.g. 41, 61, 81"
             )
         return sides

@@ -3,6 +3,7 @@
 What the paper leaves open and nobody needs to change is decided in `slipstitch.learning.lrcn`.
 """
 
+from itertools import product
 from typing import Annotated, Any, Literal, get_args
 
 from pydantic import AfterValidator, BaseModel, Field, ValidationError, model_validator
@@ -72,11 +73,10 @@ class TrainSettings(RecordedSection):
 
     @model_validator(mode="after")
     def _blocks_agree(self) -> "TrainSettings":
-        if len(self.channels) != len(self.convolutions):
-            raise ValueError(
-                f"channels names {len(self.channels)} blocks, convolutions "
-                f"{len(self.convolutions)}: one number per block in both"
-            )
+        blocks = len(self.channels), len(self.convolutions)
+        if blocks[0] != blocks[1]:
+            counted = "channels names {} blocks, convolutions {}".format(*blocks)
+            raise ValueError(f"{counted}: one number per block in both")
         if min(self.channels) < 1 or min(self.convolutions) < 1:
             raise ValueError("channels and convolutions must be positive")
         return self
@@ -207,6 +207,5 @@ class AblateSettings(Section):
             for question in self.asked
             for network, variants in VARIANTS[question].items()
             if network in self.networks
-            for variant in variants
-            for seed in self.seeds
+            for variant, seed in product(variants, self.seeds)
         ]

@@ -64,10 +64,9 @@ def _captured(results: Results, rows: Sequence[Mapping[str, Any]], panels: Panel
     """Add the captures' curves to the panels; return scores by model and subset."""
     by_subset = results.json("captures", "metrics.json") or {}
     shown = [
-        [f"paper, real videos: {subset}", NONE, NONE]
-        + [percent(figures.get(metric.name)) for metric in COLUMNS]
-        for subset, figures in paper.CAPTURES.items()
-        if figures
+        [f"paper, real videos: {subset}", NONE, NONE, *(percent(of.get(c.name)) for c in COLUMNS)]
+        for subset, of in paper.CAPTURES.items()
+        if of
     ]
     for label in next(iter(by_subset.values()), {}):
         model, _, split = label.partition(", trained ")
@@ -95,9 +94,7 @@ def capture_errors(rows: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
     for row in rows:
         repeats.setdefault((row["seed"], row["pair"]), []).append(row)
     pairs = [of_pair[0] for of_pair in repeats.values()]
-    off = distance(
-        [np.median([row["friction"] for row in of_pair]) for of_pair in repeats.values()],
-        [pair["mu_ref"] for pair in pairs],
-        [pair["mu_ref_error"] for pair in pairs],
-    )
+    read = [np.median([row["friction"] for row in of_pair]) for of_pair in repeats.values()]
+    known = ([pair[name] for pair in pairs] for name in ("mu_ref", "mu_ref_error"))
+    off = distance(read, *known)
     return {name.split("_")[1]: off[chosen] for name, chosen in subsets(pairs).items()}

@@ -43,8 +43,8 @@ class Benchmark(NamedTuple):
 class Measured(NamedTuple):
     """Cost of a finished job from its benchmark file (s, MiB); NaN if it was too short."""
 
-    wall_s: float
     cpu_s: float
+    wall_s: float
     memory_mib: float
 
 
@@ -67,7 +67,7 @@ def read_benchmark(path: str | os.PathLike) -> Measured | None:
     end = end_of_file(log, 200) if log.is_file() else ""
     said, earlier = ([0.0, *map(float, p.findall(end))][-1] for p in (SAID_CPU_TIME, SAID_EARLIER))
     cpu_s = said or _number(rows[-1].get("cpu_time"))
-    return Measured(wall + earlier, cpu_s, _number(rows[-1].get("max_rss")))
+    return Measured(cpu_s, wall + earlier, _number(rows[-1].get("max_rss")))
 
 
 def _number(text: Any) -> float:
@@ -96,11 +96,10 @@ def benchmarks(folder: Path, job_classes: bool = False) -> list[Benchmark]:
     found = []
     for (_, name), jobs in sorted(classes.items()):
         of = pandas.DataFrame(jobs)
-        sums, medians = of.sum(min_count=1), of.median()
+        sums, medians = of.sum(min_count=1).map(float), of.median().map(float)
+        times_s = sums.wall_s, sums.cpu_s, medians.wall_s, medians.cpu_s
         memory = None if math.isnan(most := of.memory_mib.max()) else float(most)
-        wall_s, cpu_s = float(sums.wall_s), float(sums.cpu_s)
-        of_one_s = float(medians.wall_s), float(medians.cpu_s)
-        found.append(Benchmark(name, len(jobs), wall_s, cpu_s, *of_one_s, memory))
+        found.append(Benchmark(name, len(jobs), *times_s, memory))
     return found
 
 
@@ -155,10 +154,12 @@ def _figure(benchmarks: Sequence[Benchmark]) -> Figure:
     figure = new_figure(7.6, 0.42 * len(benchmarks) + 0.7)
     axes = figure.subplots()
     places = np.arange(len(benchmarks))[::-1]
-    cpu_min = [stage.cpu_s / 60 for stage in benchmarks]
-    wall_min = [stage.wall_s / 60 for stage in benchmarks]
-    axes.barh(places + 0.17, cpu_min, height=0.32, color=BLUE, label="CPU time")
-    axes.barh(places - 0.17, wall_min, height=0.32, color=PALE_BLUE, label="wall time, summed")
+    for up, key, colour, label in (
+        (0.17, "cpu_s", BLUE, "CPU time"),
+        (-0.17, "wall_s", PALE_BLUE, "wall time, summed"),
+    ):
+        minutes = [getattr(stage, key) / 60 for stage in benchmarks]
+        axes.barh(places + up, minutes, height=0.32, color=colour, label=label)
     axes.set_yticks(places, [stage.stage for stage in benchmarks])
     axes.tick_params(axis="y", length=0)
     axes.set_xlabel("minutes")

@@ -6,6 +6,7 @@ from typing import Any
 from slipstitch.base.page.figures import data_uri
 from slipstitch.base.page.wording import evenly
 from slipstitch.design.grid import Simulation, sampled_frames, simulations, textures, viewpoints
+from slipstitch.design.splits import SIDES
 from slipstitch.report.physics import MOST_FRICTIONS_SHOWN
 from slipstitch.report.results import Results
 
@@ -40,11 +41,8 @@ def dataset(results: Results) -> dict[str, Any] | None:
     same = [one for one in grid if one.material == grid[0].material]
     chosen = same[len(same) // 2]
     ends = [one for one in same if one.friction in (frictions[0], frictions[-1])]
-    every = evenly(range(len(kept)), FRAMES_IN_STRIP)
-    strips = {
-        f"{one.material}, µ = {one.friction:g}": images(one, every, texture["id"], view["id"])
-        for one in ends
-    }
+    every, shown = evenly(range(len(kept)), FRAMES_IN_STRIP), (texture["id"], view["id"])
+    strips = {f"{one.material}, µ = {one.friction:g}": images(one, every, *shown) for one in ends}
     return {
         "videos": len(rows),
         "images": sum(row["frames"] for row in rows),
@@ -73,19 +71,17 @@ def dataset(results: Results) -> dict[str, Any] | None:
 
 def _parts(rows: Sequence[Mapping[str, Any]], split: str) -> list[int]:
     """Number of videos to train, to validate and to test."""
-    return [
-        sum(row[f"split_{split}"] == part and row["floor_role"] == "train" for row in rows)
-        for part in ("train", "validation", "test")
-    ]
+    sides = [row[f"split_{split}"] for row in rows if row["floor_role"] == "train"]
+    return [sides.count(side) for side in SIDES]
 
 
 def film(results: Results) -> dict[str, str] | None:
     """The film of the simulation in the middle of those that have one, if it is small."""
-    paths = {one: ("render", "preview", f"{one.id}.mp4") for one in results.simulated()}
-    there = [one for one, path in paths.items() if results.folder.joinpath(*path).exists()]
-    content = results.content(*paths[there[len(there) // 2]]) if there else None
-    if not content or len(content) > FILM_BYTES_MAX:
+    folder = results.folder / "render" / "preview"
+    there = [one for one in results.simulated() if (folder / f"{one.id}.mp4").exists()]
+    one = there[len(there) // 2] if there else None
+    content = results.content("render", "preview", f"{one.id}.mp4") if one else None
+    if not one or not content or len(content) > FILM_BYTES_MAX:
         return None
-    one = there[len(there) // 2]
     title = f"{one.material}, µ = {one.friction:g}"
     return {"title": title, "video": data_uri(content, "video/mp4")}

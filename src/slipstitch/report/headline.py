@@ -38,24 +38,25 @@ def headline(config: Config, scores: Scores, predictions) -> dict[str, Any] | No
     for split in HELD_OUT:
         rows = scores.metrics.get(split, {})
         best, probe = _best(rows, of_probes=False), _best(rows, of_probes=True)
-        if best is not None:
-            network = network_of(best)
-            detail = scores.detail(split, network)
-            own = [r for r in predictions or () if (r["split"], r["network"]) == (split, network)]
-            _refuse_other_grid(config, own)
-            own = [row | _interval(row, config.grid.frictions) for row in own]
-            materials = {one.material_id: one.material for one in simulations(config)}
-            return {
-                "model": model_title(best),
-                "unseen": HELD_OUT[split],
-                "scores": rows[best],
-                "share_interval": share_interval(own),
-                "step": STEP,
-                "probe": rows[probe] | {"title": model_title(probe)} if probe else None,
-                "constant_error": detail.get("chance", {}).get("mean_absolute_error"),
-                "simulations": detail.get("simulations"),
-                "figure": svg_uri(predicted_against_true(own, materials)),
-            }
+        if best is None:
+            continue
+        network = network_of(best)
+        detail = scores.detail(split, network)
+        own = [r for r in predictions or () if (r["split"], r["network"]) == (split, network)]
+        _refuse_other_grid(config, own)
+        own = [row | _interval(row, config.grid.frictions) for row in own]
+        materials = {one.material_id: one.material for one in simulations(config)}
+        return {
+            "model": model_title(best),
+            "unseen": HELD_OUT[split],
+            "scores": rows[best],
+            "share_interval": share_interval(own),
+            "step": STEP,
+            "probe": rows[probe] | {"title": model_title(probe)} if probe else None,
+            "constant_error": detail.get("chance", {}).get("mean_absolute_error"),
+            "simulations": detail.get("simulations"),
+            "figure": svg_uri(predicted_against_true(own, materials)),
+        }
     return None
 
 
@@ -73,11 +74,11 @@ def _refuse_other_grid(config: Config, rows: Iterable[Mapping[str, Any]]) -> Non
     grid = config.grid.frictions
     for row in rows:
         if not np.isclose(row["true_value"], grid, rtol=0, atol=1e-9).any():
+            known = ", ".join(f"{one:g}" for one in grid)
             raise BadInput(
                 f"evaluate/predictions.parquet: {row['network']} {row['split']} has friction "
-                f"{row['true_value']:g}, not one of the configured grid's: "
-                f"{', '.join(f'{one:g}' for one in grid)}; evaluate again, or give the "
-                "configuration of these results"
+                f"{row['true_value']:g}, not one of the configured grid's: {known}; evaluate "
+                "again, or give the configuration of these results"
             )
 
 
@@ -90,8 +91,7 @@ def share_interval(rows: Sequence[Mapping[str, Any]]) -> tuple[float, float] | N
     for row in rows:
         off = steps_off(row["predicted_value"], row["true_value"])
         right[row["seed"], row["simulation"]].append(off == 0)
-    seeds = sorted({seed for seed, _ in right})
-    names = sorted({name for _, name in right})
+    seeds, names = (sorted({key[k] for key in right}) for k in range(2))
     if len(names) < 2:
         return None
     table = [[float(np.mean(right[seed, name])) for name in names] for seed in seeds]

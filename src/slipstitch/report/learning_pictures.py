@@ -39,18 +39,16 @@ def predicted_against_true(
     axes.plot(line, line, color=palette.THEORY, lw=0.9)
     names = sorted({row["simulation"].split("_")[0] for row in rows})
     for number, name in enumerate(names):
-        own = [row for row in rows if row["simulation"].split("_")[0] == name]
+        own = pandas.DataFrame([row for row in rows if row["simulation"].split("_")[0] == name])
         # Fabrics side by side, and the videos of each in order: marks of one class do not hide.
         spread = (np.arange(len(own)) / max(len(own) - 1, 1) - 0.5) * 0.7 + number
-        place = np.array([row["true_value"] for row in own])
-        place = place + margin * ((spread + 0.5) / len(names) - 0.5)
-        predicted = np.array([row["predicted_value"] for row in own])
+        place = own["true_value"].to_numpy(float) + margin * ((spread + 0.5) / len(names) - 0.5)
         colour = palette.SERIES[number % len(palette.SERIES)]
-        limits = np.array([[row["low"], row["high"]] for row in own], float)
-        for x, (lower, upper) in zip(place, limits, strict=True):
-            axes.plot([x, x], [lower, upper], color=colour, lw=0.8, alpha=0.45)
+        limits = own[["low", "high"]].to_numpy(float)
+        for x, interval in zip(place, limits, strict=True):
+            axes.plot([x, x], interval, color=colour, lw=0.8, alpha=0.45)
         label = materials.get(name, name)
-        axes.plot(place, predicted, "o", color=colour, ms=3.6, mew=0, label=label)
+        axes.plot(place, own["predicted_value"], "o", color=colour, ms=3.6, mew=0, label=label)
     axes.set(xlim=line, ylim=line, xlabel="true µ", ylabel="predicted µ")
     if len(names) > 1:
         legend_above(figure, dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True)), 3)
@@ -108,24 +106,22 @@ def _draw_confusion(axes: Axes, counts: np.ndarray, labels: Sequence[str]) -> No
     axes.set_xticks(few, names, fontsize=7, rotation=45 if max(map(len, names)) > 4 else 0)
     axes.set_yticks(few, names, fontsize=7)
     axes.tick_params(length=0)
-    for side in axes.spines.values():
-        side.set_visible(False)
+    axes.spines[:].set_visible(False)
     if len(labels) <= 8:
+        style: Any = {"ha": "center", "va": "center", "fontsize": 8}
         for (row, column), count in np.ndenumerate(counts):
-            axes.text(
-                column, row, str(count), ha="center", va="center", fontsize=8,
-                color="white" if shares[row, column] > 0.55 else palette.INK,
-            )  # fmt: skip
+            colour = "white" if shares[row, column] > 0.55 else palette.INK
+            axes.text(column, row, str(count), color=colour, **style)
 
 
 @styled
 def confusions(details: Mapping[str, Any]) -> Figure | None:
     """True against predicted classes: fabrics and coefficients, a row a split."""
     found = {
-        (split, network): details[split][network]
+        (split, network): of_network
         for split in SPLIT_NAMES
         for network in NETWORK_TITLES
-        if details.get(split, {}).get(network, {}).get("confusion")
+        if (of_network := details.get(split, {}).get(network, {})).get("confusion")
     }
     if not found:
         return None
@@ -135,13 +131,12 @@ def confusions(details: Mapping[str, Any]) -> Figure | None:
     panels = figure.subplots(len(splits), len(networks), squeeze=False)
     for (row, column), axes in np.ndenumerate(panels):
         split, network = splits[row], networks[column]
-        axes.set_axis_off()
-        if (split, network) not in found:
+        of_network = found.get((split, network))
+        if of_network is None:
+            axes.set_axis_off()
             continue
-        axes.set_axis_on()
-        classes = found[split, network]["classes"]
-        labels = [one.get("name") or f"{one['value']:g}" for one in classes]
-        _draw_confusion(axes, np.array(found[split, network]["confusion"]), labels)
+        labels = [one.get("name") or f"{one['value']:g}" for one in of_network["classes"]]
+        _draw_confusion(axes, np.array(of_network["confusion"]), labels)
         axes.set_title(NETWORK_TITLES[network])
         axes.set_xlabel("predicted", fontsize=8)
         axes.set_ylabel(f"{SPLIT_NAMES[split]}\ntrue" if column == 0 else "", fontsize=8)

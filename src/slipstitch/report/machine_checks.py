@@ -1,7 +1,6 @@
 """The checks of ``slipstitch doctor``: each checks one requirement and names its remedy."""
 
 import enum
-import importlib.metadata
 import importlib.util
 import os
 import platform
@@ -13,7 +12,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from slipstitch.base.page.wording import size
-from slipstitch.base.project import pinned_versions, project_folder
+from slipstitch.base.project import installed_version, pinned_versions, project_folder
 
 ENVIRONMENT = project_folder() / "envs"
 REQUIREMENTS = ENVIRONMENT / "requirements.txt"
@@ -45,14 +44,11 @@ def print_findings() -> int:
     width = max(len(finding.name) for finding in findings)
     for finding in findings:
         print(f"{finding.state.value:<7} {finding.name:<{width}}  {finding.found}")
-    remedies = [f"{finding.name}: {finding.remedy}" for finding in findings if finding.remedy]
-    if remedies:
+    if remedies := [f"{one.name}: {one.remedy}" for one in findings if one.remedy]:
         print("", *remedies, sep="\n")
-    missing = [finding.name for finding in findings if finding.state is Standing.MISSING]
-    said = "All requirements of Slipstitch are met."
-    if missing:
-        said = f"Slipstitch cannot run everything; missing: {', '.join(missing)} (see above)."
-    print(f"\n{said}")
+    missing = ", ".join(one.name for one in findings if one.state is Standing.MISSING)
+    lacking = f"Slipstitch cannot run everything; missing: {missing} (see above)."
+    print(f"\n{lacking if missing else 'All requirements of Slipstitch are met.'}")
     return 1 if missing else 0
 
 
@@ -63,8 +59,8 @@ def _met(
     return Diagnosis(name, Standing.GOOD if good else else_, found, "" if good else remedy)
 
 
-def _note(name: str, found: str, remedy: str = "") -> Diagnosis:
-    return Diagnosis(name, Standing.NOTE, found, remedy)
+def _note(name: str, found: str) -> Diagnosis:
+    return Diagnosis(name, Standing.NOTE, found)
 
 
 def check_python() -> Diagnosis:
@@ -79,15 +75,13 @@ def check_packages(path: Path = REQUIREMENTS) -> Diagnosis:
     pinned = pinned_versions(path)
     if not pinned:
         return _note("packages", "no list of pinned versions found")
-    absent, other = [], []
-    for package, version in pinned.items():
-        try:
-            installed = importlib.metadata.version(package)
-        except importlib.metadata.PackageNotFoundError:
-            absent.append(f"{package} (needs {version})")
-            continue
-        if installed.partition("+")[0] != version:
-            other.append(f"{package} {installed} (pinned {version})")
+    installed = {package: installed_version(package) for package in pinned}
+    absent = [f"{name} (needs {pinned[name]})" for name, there in installed.items() if not there]
+    other = [
+        f"{name} {there} (pinned {pinned[name]})"
+        for name, there in installed.items()
+        if there and there.partition("+")[0] != pinned[name]
+    ]
     wrong = absent + other
     found = f"all {len(pinned)} at their pinned versions"
     if wrong:
@@ -187,11 +181,9 @@ def check_git() -> Diagnosis:
 
 def examine() -> list[Diagnosis]:
     """All checks, in the order they are shown."""
-    checks = (
-        *(check_python, check_packages, check_system_libraries, check_blender, check_warp),
-        *(check_processor, check_gpu, check_memory, check_disk, check_git),
-    )
-    return [check() for check in checks]
+    first = check_python, check_packages, check_system_libraries, check_blender, check_warp
+    then = check_processor, check_gpu, check_memory, check_disk, check_git
+    return [check() for check in (*first, *then)]
 
 
 def run_a_kernel() -> None:

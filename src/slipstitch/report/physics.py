@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from itertools import product
 from typing import Any
 
 import matplotlib
@@ -56,13 +57,12 @@ def _checks(checks: Sequence[Mapping[str, Any]]) -> Table:
     rows = []
     for name, own in kinds.items():
         missed = [check for check in own if not check["met"]]
+        met = f"{len(own) - len(missed)} of {len(own)}"
         for check in missed or [max(own, key=lambda one: one["error"])]:
             scale, unit = (100.0, "%") if check["relative"] else (1.0, check.get("unit", ""))
             scale, unit = (1e3, "mm") if unit == "m" else (scale, unit)
             limits = [quantity(check[key], scale, unit, 2) for key in ("error", "demand")]
-            rows.append(
-                [name.replace("-", " "), f"{len(own) - len(missed)} of {len(own)}", *limits]
-            )
+            rows.append([name.replace("-", " "), met, *limits])
     return ["check", "met", "largest error", "allowed"], rows
 
 
@@ -73,20 +73,18 @@ def convergence(results: Results) -> dict[str, Any] | None:
         return None
     verdicts: dict[str, Counter] = {}
     rows = []
-    for row in study["summary"]:
-        for kind in ("time_step", "mesh"):
-            found = row[kind]
-            if found is None:
-                continue
-            against = _refinement(kind, found.get("finest", ""))
-            verdict = found["verdict"].partition(" (")[0]
-            verdicts.setdefault(against, Counter())[verdict] += 1
-            if verdict == "not converged":
-                errors = [found[name] for name in ("mean_m", "mean_largest_m", "worst_m")]
-                cells = [quantity(error, 1e3, "mm", 2) for error in errors]
-                events = quantity(found["event_shift_s"], 1.0, "s", 2)
-                events += "".join(f"; {name} in one only" for name in found["events_missing"])
-                rows.append([f"{row['material']} {row['friction']:g}", against, *cells, events])
+    for row, kind in product(study["summary"], ("time_step", "mesh")):
+        if (found := row[kind]) is None:
+            continue
+        against = _refinement(kind, found.get("finest", ""))
+        verdict = found["verdict"].partition(" (")[0]
+        verdicts.setdefault(against, Counter())[verdict] += 1
+        if verdict == "not converged":
+            errors = [found[name] for name in ("mean_m", "mean_largest_m", "worst_m")]
+            cells = [quantity(error, 1e3, "mm", 2) for error in errors]
+            events = quantity(found["event_shift_s"], 1.0, "s", 2)
+            events += "".join(f"; {name} in one only" for name in found["events_missing"])
+            rows.append([f"{row['material']} {row['friction']:g}", against, *cells, events])
     chosen = (results.json("calibrate", "calibration.json") or {}).get("settings", {})
     simulated_with = results.config.simulation.model_copy(update=chosen)
     demand_m = study["settings"]["convergence"]["mean_distance_m"]
@@ -151,9 +149,8 @@ def profiles(trajectories: Sequence[SimulationSummary]) -> Figure | None:
         return None
     materials, frictions = _labels(trajectories)
     figure = new_figure(max(2.25 * len(frictions) + 0.3, 7.0), 1.75 * len(materials) + 0.5)
-    panels = figure.subplots(
-        len(materials), len(frictions), sharex=True, sharey=True, squeeze=False
-    )
+    shared: Any = {"sharex": True, "sharey": True, "squeeze": False}
+    panels = figure.subplots(len(materials), len(frictions), **shared)
     reach = max(float(np.abs(run.centre_m[:, :, 0]).max()) for run in trajectories)
     reach = 1e3 * min(reach, 0.2) + 8
     used: dict[str, Any] = {}
@@ -200,8 +197,8 @@ def tails(trajectories: Sequence[SimulationSummary]) -> Figure | None:
     for run in trajectories:
         axes = panels.flat[materials.index(run.simulation.material)]
         friction = run.simulation.friction
-        colour = colours[frictions.index(friction)]
-        lines[friction] = axes.plot(run.time_s, 1e3 * run.centre_m[:, -1, 0], lw=1, color=colour)[0]
+        ahead_mm, colour = 1e3 * run.centre_m[:, -1, 0], colours[frictions.index(friction)]
+        (lines[friction],) = axes.plot(run.time_s, ahead_mm, lw=1, color=colour)
     for axes, material in zip(panels.flat, materials, strict=False):
         axes.axhline(0.0, color=FAINT, lw=0.6)
         axes.set_title(material)

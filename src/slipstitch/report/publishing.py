@@ -11,17 +11,9 @@ from typing import Any
 import pandas
 import pyarrow.parquet as pq
 
+from slipstitch.base import provenance
 from slipstitch.base.errors import BadInput, Damaged
-from slipstitch.base.provenance import (
-    atomic_path,
-    check_recorded,
-    file_digest,
-    provenance_record,
-    read_json,
-    read_parquet,
-    read_provenance,
-    start_clock,
-)
+from slipstitch.base.provenance import file_digest, read_json, read_parquet, read_provenance
 from slipstitch.base.provenance.files import SIDECAR_SUFFIX
 from slipstitch.base.provenance.record import write_json
 from slipstitch.config import Config, load_config
@@ -31,7 +23,7 @@ from slipstitch.dataset.manifest import MANIFEST, read_manifest
 from slipstitch.design.trainable import keeps_networks_of_all_views, trainings
 from slipstitch.physics.simulation.convergence import measured_convergence
 from slipstitch.physics.simulation.trajectory import read_trajectory
-from slipstitch.report.cost import STAGES, benchmarks, read_benchmark
+from slipstitch.report.cost import STAGES, Measured, benchmarks, read_benchmark
 from slipstitch.report.results import Results
 
 _AGAIN = "run slipstitch evaluate again, in the folder that contains the results"
@@ -93,7 +85,7 @@ def publish(
     file is damaged, or if the scores are of other models or another dataset. With `update`, `out`
     keeps what the results of the same dataset and configuration have no longer.
     """
-    started = start_clock()
+    started = provenance.start_clock()
     found, out = Results(results, config), Path(out)
     _check_target(out, found.folder)
     kept = _kept(config, found, out) if update else {}
@@ -109,8 +101,10 @@ def publish(
         lacking = f"the scores do not include {unscored[0]}"
         raise BadInput(f"{results}: {lacking}; {_AGAIN}, or publish with --partial")
     missing += [SCORES_OF + name for name in unscored]
-    with atomic_path(out) as folder:
-        record = provenance_record("publish", inputs=there.values(), config=config, started=started)
+    with provenance.atomic_path(out) as folder:
+        record = provenance.provenance_record(
+            "publish", inputs=there.values(), config=config, started=started
+        )
         write_json(folder / "config.json", config.model_dump(mode="json"))
         costs = [cost._asdict() for cost in benchmarks(found.folder, job_classes=True)]
         write_json(folder / "cost.json", json.loads(json.dumps(costs).replace("NaN", "null")))
@@ -223,7 +217,7 @@ def _check_target(out: Path, results: Path) -> None:
 
 def _check_file(path: Path) -> None:
     """Refuse a file that cannot be read, or is not what its record or its card describes."""
-    check_recorded(path)
+    provenance.check_recorded(path)
     if path.suffix == ".parquet":
         read_parquet(path)
     elif path.suffix in (".json", WEIGHTS):
@@ -259,13 +253,12 @@ def _unscored(scores: Iterable[Path], digests: Mapping[str, str]) -> list[str]:
 def _describe_dataset(sample: Path, folder: Path) -> None:
     """Write the digests of a dataset's files, and of what they were made from."""
     rows, digest = read_manifest(sample)
-    shards = {row["file"] for row in rows}
-    there = {file: sample / file for file in sorted(shards)}
+    shards = sorted({row["file"] for row in rows})
     dataset = {
         "digest": digest,
         "videos": len(rows),
         "images": sum(row["frames"] for row in rows),
-        "files": {file: file_digest(path) for file, path in there.items() if path.is_file()},
+        "files": {file: file_digest(sample / file) for file in shards if (sample / file).is_file()},
     }
     write_json(folder / "digests.json", dataset)
     if lineage := _lineage(sample.resolve().parent, shards):
@@ -274,7 +267,7 @@ def _describe_dataset(sample: Path, folder: Path) -> None:
 
 def _lineage(results: Path, shards: Iterable[str]) -> dict[str, dict[str, str]]:
     """Artefact -> path and SHA-256 of what it was made from; empty if a render has no record."""
-    waiting = [f"{results.name}/sample/{file}" for file in sorted(shards)]
+    waiting = [f"{results.name}/sample/{file}" for file in shards]
     found: dict[str, dict[str, str]] = {}
     for name in waiting:  # grows
         if name not in found:
@@ -317,18 +310,13 @@ def _simulations(results: Results) -> Iterator[dict[str, Any]]:
     """What each simulation cost and how well it is solved."""
     for one in results.simulated():
         run = read_trajectory(results.simulation_path(one))
-        job = results.folder / "benchmarks" / "simulate" / f"{one.id}.tsv"
-        cost = read_benchmark(job)
+        cost = read_benchmark(results.folder / "benchmarks" / "simulate" / f"{one.id}.tsv")
         settings = SimulationSettings.model_validate(run.metadata["settings"])
         # Not the trajectory's own record: a study may be newer than the simulations.
         known = measured_convergence(one.material, one.friction, settings)
         yield {
-            "simulation": one.id,
-            "material": one.material,
-            "friction": one.friction,
-            "cpu_s": cost and cost.cpu_s,
-            "wall_s": cost and cost.wall_s,
-            "memory_mib": cost and cost.memory_mib,
+            **{"simulation": one.id, "material": one.material, "friction": one.friction},
+            **(cost._asdict() if cost else dict.fromkeys(Measured._fields)),
             "simulated_s": round(float(run.time_s[-1]), 3),
             "friction_tolerance": settings.friction_tolerance,
             "convergence": known and known["verdict"],

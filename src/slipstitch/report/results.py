@@ -4,6 +4,7 @@ import io
 import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -150,12 +151,12 @@ class Results:
 
     def _trainings(self) -> Iterator[tuple[Path, str, str, int]]:
         """The configured trainings: folder, split, network, seed."""
-        for split in self.config.train.splits:
-            for network, seed in trainings(self.config.train, split):
+        train = self.config.train
+        for split in train.splits:
+            for network, seed in trainings(train, split):
                 yield self.folder / f"train/{split}/{network}/seed{seed}", split, network, seed
-        for split in self.config.train.splits:
-            for seed in self.config.instrument.seeds:
-                yield self.folder / f"instrument/{split}/seed{seed}", split, "instrument", seed
+        for split, seed in product(train.splits, self.config.instrument.seeds):
+            yield self.folder / f"instrument/{split}/seed{seed}", split, "instrument", seed
 
     def histories(self) -> list[History]:
         """Training curves, in the order of the configuration; others, left by another, not."""
@@ -175,9 +176,8 @@ class Results:
     def predictions(self) -> Rows | None:
         """Rows of predictions.parquet."""
         columns = ["simulation", "split", "network", "seed", "true_value", "predicted_value"]
-        return self._rows(
-            [*columns, "low", "high", "probabilities"], "evaluate", "predictions.parquet"
-        )
+        columns += ["low", "high", "probabilities"]
+        return self._rows(columns, "evaluate", "predictions.parquet")
 
     def capture_predictions(self) -> Rows | None:
         """Predictions of every model for every capture."""
@@ -187,25 +187,24 @@ class Results:
 
     def captures_of_other_networks(self) -> bool:
         """Whether the captures' scores are of a network that the test sets' are not of."""
-        weights = []
-        for stage in ("captures", "evaluate"):
-            try:
-                inputs = read_sidecar(self.folder / stage / "metrics.json").get("inputs", {})
-            except FileNotFoundError:
-                return False
-            weights.append({inputs[name] for name in inputs if name.endswith(".safetensors")})
-        return not weights[0] <= weights[1]
+        files = [self.folder / stage / "metrics.json" for stage in ("captures", "evaluate")]
+        try:
+            inputs = [read_sidecar(file).get("inputs", {}) for file in files]
+        except FileNotFoundError:
+            return False
+        of = [{one[name] for name in one if name.endswith(".safetensors")} for one in inputs]
+        return not of[0] <= of[1]
 
     def provenance(self) -> list[tuple[str, dict[str, Any]]]:
         """One record of each stage, with the artefact that carries it."""
-        models = [folder / "model.safetensors" for folder, *_ in self._trainings()]
+        models = (folder / "model.safetensors" for folder, *_ in self._trainings())
         candidates = [
-            self.folder / "calibrate" / "calibration.json",
+            self.folder / "calibrate/calibration.json",
             *map(self.simulation_path, self.simulated()[:1]),
             *self.rendered()[:1],
-            self.folder / "sample" / "manifest.parquet",
+            self.folder / "sample" / MANIFEST,
             *[path for path in models if path.exists()][:1],
-            self.folder / "evaluate" / "metrics.json",
+            self.folder / "evaluate/metrics.json",
         ]
         found = []
         for path in candidates:

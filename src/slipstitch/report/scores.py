@@ -31,6 +31,7 @@ NETWORK_TITLES = {
     SHIPPED: "instrument that comes with Slipstitch",
 }
 TURNED = "view_"
+Columns = Mapping[tuple[str, str | None], str]
 
 
 def model_title(model: str) -> str:
@@ -85,18 +86,14 @@ class Scores:
 
 
 def beside_paper(
-    scores: Scores,
-    columns: Mapping[tuple[str, str | None], str],
-    quoted: Mapping[tuple[str, str], float],
-    videos: int,
+    scores: Scores, columns: Columns, quoted: Mapping[tuple[str, str], float], videos: int
 ) -> Table | None:
     """The paper's shares, `quoted` by network and metric, beside ours; None if nothing was run.
 
     Columns that were run have headings, by test set and viewpoint, None for all.
     """
-    shown = [
-        key for key in columns if any(scores.detail(key[0], one, key[1]) for one in NETWORK_TITLES)
-    ]
+    networks = [*NETWORK_TITLES]
+    shown = [key for key in columns if any(scores.detail(key[0], n, key[1]) for n in networks)]
     if not shown:
         return None
     head = ["share of test videos", f"paper ({videos} videos)"]
@@ -115,7 +112,7 @@ def beside_paper(
 
 def table_2(scores: Scores, calibrated: str) -> Table | None:
     """The paper's Table 2: its split of videos, and simulations held out."""
-    columns: dict[tuple[str, str | None], str] = {
+    columns: Columns = {
         ("by_video", None): "ours by video",
         ("by_video", calibrated): "its calibrated view",
         ("by_simulation", None): "ours by simulation",
@@ -125,7 +122,7 @@ def table_2(scores: Scores, calibrated: str) -> Table | None:
 
 def unseen_texture(scores: Scores, calibrated: str) -> Table | None:
     """The paper's Sec. 6.2.1, and the same networks on textures that they trained on."""
-    columns: dict[tuple[str, str | None], str] = {
+    columns: Columns = {
         ("unseen_texture", calibrated): "ours, calibrated view",
         ("unseen_texture", None): "ours, all views",
         ("by_video", None): "ours, trained textures",

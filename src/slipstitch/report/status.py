@@ -1,8 +1,7 @@
 """The state of a workflow run: its journal, failures in plain words, jobs by stage, time left.
 
-Snakemake hands its events to `Journal` and `Progress` as structured log records; no text is
-parsed. Only the main process writes, from the first job's start on: a dry run, or a run that has
-nothing to do, leaves no trace.
+Snakemake hands its events to `Journal` and `Progress` as structured log records. Only the main
+process writes, from the first job's start on: a dry run leaves no trace.
 """
 
 import contextlib
@@ -13,7 +12,7 @@ import resource
 import sys
 import time
 from collections import Counter
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any
@@ -219,25 +218,19 @@ class Progress(logging.Handler):
             print(line, file=sys.stderr, flush=True)
 
 
-def _events(path: Path) -> Iterator[Event]:
-    """The entries of the journal, without one truncated by a crash."""
+def read_runs(folder: str | os.PathLike) -> list[Run]:
+    """All runs in the journal of a results folder, in order; no entry truncated by a crash."""
+    path = Path(folder) / "status" / EVENTS
+    runs: list[Run] = []
     try:
-        lines = path.read_bytes().splitlines()
-    except FileNotFoundError:
-        return
+        lines = path.read_bytes().splitlines() if path.exists() else []
     except OSError as error:
         raise BadInput(f"{path}: cannot be read: {error.strerror}") from None
     for line in lines:
         try:
-            yield Event.model_validate_json(line)
+            event = Event.model_validate_json(line)
         except ValidationError:
             continue
-
-
-def read_runs(folder: str | os.PathLike) -> list[Run]:
-    """All runs in the journal of a results folder, in order."""
-    runs: list[Run] = []
-    for event in _events(Path(folder) / "status" / EVENTS):
         if event.event == "run":
             runs.append(Run(event, event))
         elif runs:
@@ -260,10 +253,9 @@ def failures(folder: str | os.PathLike, runs: Sequence[Run]) -> list[tuple[Event
         for position, event in enumerate(run.failed):
             again = any(later.job == event.job for later in run.failed[position + 1 :])
             there = event.output and all((base / path).exists() for path in event.output)
-            if again or run.state.get(event.job) == "finished":
-                found.append((event, "retried"))
-            else:
-                found.append((event, "completed later" if there else "not completed"))
+            then = "completed later" if there else "not completed"
+            retried = again or run.state.get(event.job) == "finished"
+            found.append((event, "retried" if retried else then))
     return found
 
 
@@ -324,19 +316,15 @@ def _head(run: Run) -> str:
     began = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(run.head.time))
     if run.success:
         took_s = max(0.0, run.last.time - run.head.time)
-        state = (
-            f"finished after {duration(took_s, digits=0)}; CPU time of its jobs "
-            f"{duration(run.last.jobs_cpu_s, digits=0)}, of Snakemake itself "
-            f"{duration(run.last.own_cpu_s, digits=0)}"
-        )
+        times_s = took_s, run.last.jobs_cpu_s, run.last.own_cpu_s
+        took, jobs, own = (duration(one, digits=0) for one in times_s)
+        state = f"finished after {took}; CPU time of its jobs {jobs}, of Snakemake itself {own}"
     elif run.success is False:
         state = "stopped by a failure; fix the cause and repeat the snakemake command to continue"
-    elif run.alive() is None:
-        state = "started on another machine"
-    elif run.alive():
-        state = "running"
     else:
-        state = "interrupted; to continue: `snakemake --unlock`, then repeat the snakemake command"
+        interrupted = "to continue: `snakemake --unlock`, then repeat the snakemake command"
+        states = {None: "started on another machine", True: "running"}
+        state = states.get(run.alive(), f"interrupted; {interrupted}")
     return f"Run of {began}: {state}."
 
 

@@ -45,11 +45,8 @@ def with_interval(
     value: float, interval: Sequence[float], digits: int = 2, scale: float = 1.0, unit: str = ""
 ) -> str:
     """An estimate and its interval: 0.12 [0.10, 0.14]."""
-    low, high = interval
-    return (
-        f"{number(value, None, digits, scale, unit)} "
-        f"[{scale * low:.{digits}f}, {scale * high:.{digits}f}]"
-    )
+    low, high = (f"{scale * end:.{digits}f}" for end in interval)
+    return f"{number(value, None, digits, scale, unit)} [{low}, {high}]"
 
 
 def span(interval: Sequence[float], digits: int = 3) -> str:
@@ -124,8 +121,6 @@ def evenly(items: Sequence[Any], most: int = 6) -> list[Any]:
 def aligned(rows: Sequence[Sequence[str]]) -> list[str]:
     """Rows of a table for a terminal: the first column to the left, the others to the right."""
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    return [
-        f"{row[0]:<{widths[0]}}"
-        + "".join(f"  {cell:>{wide}}" for cell, wide in zip(row[1:], widths[1:], strict=True))
-        for row in rows
-    ]
+    lines = (zip(row[1:], widths[1:], strict=True) for row in rows)
+    others = ("".join(f"  {cell:>{wide}}" for cell, wide in line) for line in lines)
+    return [f"{row[0]:<{widths[0]}}{rest}" for row, rest in zip(rows, others, strict=True)]

@@ -9,8 +9,9 @@ Settings do not count either: their values are parameters of the rules.
 import ast
 import functools
 import hashlib
-import importlib.metadata
 from pathlib import Path
+
+from slipstitch.base.project import installed_version
 
 PACKAGE = "slipstitch"
 
@@ -71,9 +72,8 @@ def _read(text: str) -> tuple[str, frozenset[str]]:
     tree = ast.parse(text)
     imported: set[str] = set()
     for node in ast.walk(tree):
-        if isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef)) and ast.get_docstring(
-            node
-        ):
+        documented = isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef))
+        if documented and ast.get_docstring(node):
             node.body[:1] = [] if len(node.body) > 1 else [ast.Pass()]
         if isinstance(node, ast.Import):
             imported |= {alias.name for alias in node.names}
@@ -138,15 +138,6 @@ def code_sources(stage: str, root: str | Path | None = None) -> list[Path]:
     The root is the folder that holds the package, the running one by default.
     """
     return list(_contents(stage, _root(root))[0])
-
-
-@functools.cache
-def installed_version(package: str) -> str | None:
-    """Return the version of an installed package; None if the package is not installed."""
-    try:
-        return importlib.metadata.version(package)
-    except importlib.metadata.PackageNotFoundError:
-        return None
 
 
 @functools.cache

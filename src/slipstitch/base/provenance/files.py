@@ -68,12 +68,8 @@ def atomic_path(path: str | os.PathLike) -> Iterator[Path]:
 @contextlib.contextmanager
 def _own_folder(final: Path) -> Iterator[Path]:
     """A temporary folder beside `final`, locked for as long as this process uses it."""
-    with tempfile.TemporaryDirectory(
-        prefix=f".{final.stem}.",
-        suffix=TEMPORARY_SUFFIX,
-        dir=final.parent,
-        ignore_cleanup_errors=True,
-    ) as name:
+    where: Any = {"suffix": TEMPORARY_SUFFIX, "dir": final.parent, "ignore_cleanup_errors": True}
+    with tempfile.TemporaryDirectory(prefix=f".{final.stem}.", **where) as name:
         descriptor = os.open(name, os.O_RDONLY)
         try:
             with contextlib.suppress(OSError):  # a file system without locks
@@ -255,9 +251,8 @@ class _UniqueKeys(yaml.SafeLoader):
         for key_node, _ in node.value:
             key = key_node.value if isinstance(key_node, yaml.ScalarNode) else None
             if key in given and key != "<<":
-                raise yaml.constructor.ConstructorError(
-                    None, None, f"key {key!r} is given twice", key_node.start_mark
-                )
+                problem = f"key {key!r} is given twice"
+                raise yaml.MarkedYAMLError(None, None, problem, key_node.start_mark)
             given.add(key)
             given.discard(None)
         return super().construct_mapping(node, deep)

@@ -15,9 +15,9 @@ from pathlib import Path
 from typing import Any
 
 from slipstitch import __version__
-from slipstitch.base.project import PACKAGE
+from slipstitch.base.project import PACKAGE, installed_version
 from slipstitch.base.provenance import files
-from slipstitch.base.provenance.code import code_digest, installed_version
+from slipstitch.base.provenance.code import code_digest
 
 METADATA_KEY = b"slipstitch"
 DIGEST_KEY = b"slipstitch_sha256"
@@ -65,10 +65,9 @@ def _git() -> tuple[str | None, bool | None]:
     root = PACKAGE.parents[1]
 
     def ask(*words: str) -> str | None:
+        command = ["git", "-C", str(root), *words]
         try:
-            answer = subprocess.run(
-                ["git", "-C", str(root), *words], capture_output=True, text=True, timeout=20
-            )
+            answer = subprocess.run(command, capture_output=True, text=True, timeout=20)
         except (OSError, subprocess.TimeoutExpired):
             return None
         return answer.stdout.strip() if answer.returncode == 0 else None
@@ -253,12 +252,12 @@ def parquet_stream(path: str | os.PathLike, schema, **options: Any) -> Iterator[
     """
     import pyarrow.parquet
 
-    options = {**WRITE_OPTIONS, **options}
     # Arrow's own copy of the schema is left out: it would hide metadata that is added at the end.
+    options = {**WRITE_OPTIONS, "store_schema": False, **options}
     with (
         files.atomic_path(path) as temporary,
         open(temporary, "wb") as stream,
-        pyarrow.parquet.ParquetWriter(stream, schema, store_schema=False, **options) as writer,
+        pyarrow.parquet.ParquetWriter(stream, schema, **options) as writer,
     ):
         yield ParquetStream(writer)
 
