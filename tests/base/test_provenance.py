@@ -14,23 +14,9 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+from slipstitch.base import provenance
 from slipstitch.base.errors import BadInput, Damaged
-from slipstitch.base.provenance import (
-    atomic_path,
-    attach_metadata,
-    file_digest,
-    load_yaml,
-    provenance_record,
-    read_json,
-    read_metadata,
-    read_parquet,
-    read_provenance,
-    read_sidecar,
-    read_yaml,
-    start_clock,
-    write_parquet,
-    write_sidecar,
-)
+from slipstitch.base.provenance import atomic_path, file_digest, provenance_record, read_parquet
 from slipstitch.config import Config
 
 
@@ -38,30 +24,24 @@ def leftovers(folder):
     return sorted(path.name for path in folder.iterdir())
 
 
+def written(path, text):
+    with atomic_path(path) as temporary:
+        temporary.write_text(text)
+
+
 def test_file_takes_its_name_when_the_block_ends_and_a_failure_leaves_the_old_one(tmp_path):
     target = tmp_path / "deep" / "x.json"
     with atomic_path(target) as temporary:
         temporary.write_text("old")
-        assert not target.exists()
-        assert temporary.suffix == ".json"
+        assert not target.exists() and temporary.suffix == ".json"
         assert temporary.stat().st_dev == target.parent.stat().st_dev
     with pytest.raises(RuntimeError, match="half"), atomic_path(target) as temporary:
         temporary.write_text("ne")
         raise RuntimeError("half way")
-    assert target.read_text() == "old"
-    assert leftovers(target.parent) == ["x.json"]
-
-
-def test_block_that_wrote_nothing_fails(tmp_path):
-    with pytest.raises(FileNotFoundError, match="nothing was written"), atomic_path(tmp_path / "x"):
+    with pytest.raises(FileNotFoundError, match="nothing was written"), atomic_path(target):
         pass
-    assert leftovers(tmp_path) == []
-
-
-def test_digest_is_sha256_of_the_bytes(tmp_path):
-    content = bytes(range(256)) * 5000
-    (tmp_path / "x").write_bytes(content)
-    assert file_digest(tmp_path / "x") == hashlib.sha256(content).hexdigest()
+    assert (target.read_text(), leftovers(target.parent)) == ("old", ["x.json"])
+    assert file_digest(target) == hashlib.sha256(b"old").hexdigest()
 
 
 KILLED = """
@@ -87,49 +67,38 @@ def test_what_a_kill_leaves_is_removed_at_once_by_the_next_attempt(tmp_path, flu
     assert subprocess.run(words).returncode == -signal.SIGKILL
     assert target.exists() == bool(flushes)
     assert [name for name in leftovers(tmp_path) if name.endswith(".tmp")]
-    with atomic_path(target) as temporary:
-        temporary.write_text("again")
+    written(target, "again")
     assert leftovers(tmp_path) == ["x.json"]
 
 
 def test_what_another_living_process_writes_is_left_alone(tmp_path):
-    target = tmp_path / "x.json"
+    """Also a folder that its process may not have locked yet."""
+    target, young = tmp_path / "x.json", tmp_path / ".x.abcd1234.tmp"
+    young.mkdir()
     with atomic_path(target) as first:
         first.write_text("first")
-        with atomic_path(target) as second:
-            second.write_text("second")
+        written(target, "second")
         assert first.read_text() == "first"
-    assert target.read_text() == "first"
+    assert target.read_text() == "first" and young.exists()
+    os.utime(young, (0, 0))
+    written(target, "third")
     assert leftovers(tmp_path) == ["x.json"]
 
 
-def test_a_folder_that_has_only_just_been_made_is_left_alone(tmp_path):
-    """Its process may not have locked it yet."""
-    folder = tmp_path / ".x.abcd1234.tmp"
-    folder.mkdir()
-    with atomic_path(tmp_path / "x.json") as temporary:
-        temporary.write_text("")
-    assert folder.exists()
-    os.utime(folder, (0, 0))
-    with atomic_path(tmp_path / "x.json") as temporary:
-        temporary.write_text("")
-    assert not folder.exists()
-
-
 def test_a_folder_is_replaced_as_a_whole_and_never_half_there(tmp_path, monkeypatch):
-    target = tmp_path / "set"
-    (target / "inner").mkdir(parents=True)
+    inner = tmp_path / "set" / "inner"
+    inner.mkdir(parents=True)
     for k in range(3):
-        (target / "inner" / f"{k}").write_text("old")
-    seen = []
-    replace = os.replace
+        (inner / f"{k}").write_text("old")
+    seen, replace = [], os.replace
 
     def watched(source, destination):
         replace(source, destination)
-        seen.append(sorted(path.read_text() for path in target.rglob("*") if path.is_file()))
+        there = (path for path in (tmp_path / "set").rglob("*") if path.is_file())
+        seen.append([path.read_text() for path in there])
 
     monkeypatch.setattr(os, "replace", watched)
-    with atomic_path(target) as temporary:
+    with atomic_path(tmp_path / "set") as temporary:
         temporary.mkdir()
         for k in range(3):
             (temporary / f"{k}").write_text("new")
@@ -137,82 +106,71 @@ def test_a_folder_is_replaced_as_a_whole_and_never_half_there(tmp_path, monkeypa
     assert leftovers(tmp_path) == ["set"]
 
 
-def test_record_says_what_made_it(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
+def test_record_says_what_made_it_and_names_no_place_on_this_machine(tmp_path, monkeypatch):
+    (tmp_path / "work").mkdir()
     (tmp_path / "in.txt").write_text("input")
-    record = provenance_record(
-        "render", inputs=[tmp_path / "in.txt"], config=Config().render, seed=3
-    )
-    assert record["inputs"] == {"in.txt": file_digest("in.txt")}
-    assert record["config"]["pixels"] == Config().render.pixels
-    assert record["seed"] == 3
-    assert len(record["code_digest"]) == 64
-    assert record["versions"]["numpy"] == np.__version__
+    config = Config().render
+    for folder in (tmp_path, tmp_path / "work"):
+        monkeypatch.chdir(folder)
+        record = provenance_record("render", inputs=[tmp_path / "in.txt"], config=config, seed=3)
+        assert record["inputs"] == {"in.txt": file_digest(tmp_path / "in.txt")}
+        assert str(tmp_path) not in json.dumps(record, allow_nan=False)
+    assert (record["config"]["pixels"], record["seed"]) == (config.pixels, 3)
+    assert record["versions"]["numpy"] == np.__version__ and len(record["code_digest"]) == 64
     assert set(record) == {
         "stage", "inputs", "config", "code_digest", "git_commit", "git_dirty", "versions", "seed",
         "host_kind", "wall_s", "cpu_s",
     }  # fmt: skip
-    json.dumps(record, allow_nan=False)
-
-
-def test_record_names_no_place_on_this_machine_and_an_absent_input_is_an_error(
-    tmp_path, monkeypatch
-):
-    (tmp_path / "work").mkdir()
-    (tmp_path / "in.txt").write_text("input")
-    monkeypatch.chdir(tmp_path / "work")
-    record = provenance_record("render", inputs=[tmp_path / "in.txt"])
-    assert str(tmp_path) not in json.dumps(record)
     with pytest.raises(FileNotFoundError):
         provenance_record("render", inputs=[tmp_path / "absent"])
 
 
 def test_times_count_from_the_given_start():
-    started = start_clock()
+    started = provenance.start_clock()
     busy_until = time.process_time() + 0.2
     while time.process_time() < busy_until:
         pass
     record = provenance_record("render", started=started)
-    assert 0.2 <= record["cpu_s"] < 5
-    assert record["wall_s"] >= 0.2
+    assert 0.2 <= record["cpu_s"] < 5 and record["wall_s"] >= 0.2
 
 
 def test_sidecar_reads_back(tmp_path):
     path = tmp_path / "x.json"
     path.write_text("{}")
     record = {"config": {"frictions": np.array([0.1, 0.2])}, "seed": np.int64(3)}
-    write_sidecar(path, record)
+    provenance.write_sidecar(path, record)
     assert (tmp_path / "x.json.provenance.json").is_file()
-    assert read_sidecar(path) == {"config": {"frictions": [0.1, 0.2]}, "seed": 3}
-    assert read_provenance(path) == read_sidecar(path)
+    assert provenance.read_sidecar(path) == {"config": {"frictions": [0.1, 0.2]}, "seed": 3}
+    assert provenance.read_provenance(path) == provenance.read_sidecar(path)
 
 
-def test_parquet_carries_metadata_and_record_beside_other_keys(tmp_path):
+def test_parquet_carries_metadata_with_their_digest_and_record_beside_other_keys(tmp_path):
     path = tmp_path / "x.parquet"
     schema = pa.schema([("frame", pa.int32())], metadata={b"other": b"kept"})
     table = pa.table({"frame": pa.array([0, 1], pa.int32())}, schema=schema)
-    table = attach_metadata(table, {"friction": 0.3, "pinned": (0, 4)})
-    write_parquet(table, path, {"faces": np.array([[0, 1, 2]])}, {"seed": 7})
+    table = provenance.attach_metadata(table, {"friction": 0.3, "pinned": (0, 4)})
+    provenance.write_parquet(table, path, {"faces": np.array([[0, 1, 2]])}, {"seed": 7})
     known = {"friction": 0.3, "pinned": [0, 4], "faces": [[0, 1, 2]]}
-    assert read_metadata(path) == known | {"provenance": {"seed": 7}}
-    assert read_provenance(path) == {"seed": 7}
-    assert pq.read_schema(path).metadata[b"other"] == b"kept"
-    assert pq.read_table(path).column("frame").to_pylist() == [0, 1]
+    assert provenance.read_metadata(path) == known | {"provenance": {"seed": 7}}
+    assert provenance.read_provenance(path) == {"seed": 7}
+    keys = pq.read_schema(path).metadata
+    digest = hashlib.sha256(keys[b"slipstitch"]).hexdigest()
+    assert (keys[b"other"], keys[b"slipstitch_sha256"].decode()) == (b"kept", digest)
+    assert read_parquet(path, ["frame"])["frame"].to_pylist() == [0, 1]
 
 
 def test_a_file_without_record_says_so_and_metadata_refuse_what_json_cannot_hold(tmp_path):
     table = pa.table({"x": [1]})
     with pytest.raises(ValueError, match="JSON compliant"):
-        attach_metadata(table, {"value": float("nan")})
+        provenance.attach_metadata(table, {"value": float("nan")})
     pq.write_table(table, tmp_path / "x.parquet")
-    assert read_metadata(tmp_path / "x.parquet") == {}
+    assert provenance.read_metadata(tmp_path / "x.parquet") == {}
     with pytest.raises(FileNotFoundError):
-        read_provenance(tmp_path / "x.parquet")
+        provenance.read_provenance(tmp_path / "x.parquet")
 
 
 def test_the_record_names_the_commit_of_the_checkout():
-    root = Path(__file__).parents[2]
-    words = ["git", "-C", str(root), "rev-parse", "HEAD"]
+    words = ["git", "-C", str(Path(__file__).parents[2]), "rev-parse", "HEAD"]
     answer = subprocess.run(words, capture_output=True, text=True)
     if answer.returncode:
         pytest.skip("no checkout")
@@ -224,23 +182,14 @@ def table(tmp_path):
     path = tmp_path / "x.parquet"
     values = np.random.default_rng(0).normal(size=5000)
     columns = {"value": values, "name": [f"row {k}" for k in range(5000)]}
-    write_parquet(pa.table(columns), path, {"friction": 0.3, "simulation": "m00"})
+    provenance.write_parquet(pa.table(columns), path, {"friction": 0.3, "simulation": "m00"})
     return path
 
 
-def test_what_was_written_reads_back(table):
-    assert read_parquet(table, ["value"]).num_rows == 5000
-    assert read_metadata(table)["friction"] == 0.3
-    keys = pq.read_schema(table).metadata
-    want = hashlib.sha256(keys[b"slipstitch"]).hexdigest()
-    assert keys[b"slipstitch_sha256"].decode() == want
-    assert json.loads(keys[b"slipstitch"])["simulation"] == "m00"
-
-
-def test_no_flipped_bit_of_a_parquet_file_changes_what_is_read_unnoticed(table):
+def test_no_flipped_or_missing_bit_of_a_parquet_file_goes_unnoticed(table):
     """One bit at every 97th byte: an error, or the very same content."""
     whole = table.read_bytes()
-    want, notes = read_parquet(table), read_metadata(table)
+    want, notes = read_parquet(table), provenance.read_metadata(table)
     noticed = 0
     for place in range(0, len(whole), 97):
         damaged = bytearray(whole)
@@ -248,10 +197,14 @@ def test_no_flipped_bit_of_a_parquet_file_changes_what_is_read_unnoticed(table):
         table.write_bytes(damaged)
         try:
             assert read_parquet(table).equals(want), place
-            assert read_metadata(table) == notes, place
+            assert provenance.read_metadata(table) == notes, place
         except Damaged:
             noticed += 1
     assert noticed > 0.9 * len(whole) / 97
+    for share in (0.0, 0.001, 0.3, 0.99):
+        table.write_bytes(whole[: int(share * len(whole))])
+        with pytest.raises(Damaged, match=r"x\.parquet: damaged or not a Parquet file"):
+            read_parquet(table)
 
 
 def test_text_that_is_none_is_noticed_in_files_of_others_too(tmp_path):
@@ -265,14 +218,6 @@ def test_text_that_is_none_is_noticed_in_files_of_others_too(tmp_path):
             read_parquet(tmp_path / "y.parquet")
 
 
-@pytest.mark.parametrize("share", [0.0, 0.001, 0.3, 0.99])
-def test_a_truncated_parquet_file_is_named(table, share):
-    whole = table.read_bytes()
-    table.write_bytes(whole[: int(share * len(whole))])
-    with pytest.raises(Damaged, match=r"x\.parquet: damaged or not a Parquet file"):
-        read_parquet(table)
-
-
 def test_a_parquet_file_that_grows_beyond_measure_is_refused(tmp_path):
     path = tmp_path / "bomb.parquet"
     pq.write_table(pa.table({"x": np.zeros(10_000_000, np.int64)}), path, compression="zstd")
@@ -283,19 +228,18 @@ def test_a_parquet_file_that_grows_beyond_measure_is_refused(tmp_path):
 
 def test_only_files_of_the_results_are_said_to_be_made_anew():
     assert "--forcerun 'results/a b.parquet'" in str(Damaged("results/a b.parquet", "damaged"))
-    assert "forcerun" not in str(Damaged("/data/x.parquet", "damaged"))
-    assert "forcerun" not in str(Damaged("mine/x.parquet", "damaged"))
+    for path in ("/data/x.parquet", "mine/x.parquet"):
+        assert "forcerun" not in str(Damaged(path, "damaged"))
 
 
 def test_json_that_is_not_what_its_record_was_written_for_is_damaged(tmp_path):
     path = tmp_path / "x.json"
-    with atomic_path(path) as temporary:
-        temporary.write_text('{"friction": 0.3}')
-    write_sidecar(path, {"stage": "x"})
-    assert read_json(path) == {"friction": 0.3}
+    written(path, '{"friction": 0.3}')
+    provenance.write_sidecar(path, {"stage": "x"})
+    assert provenance.read_json(path) == {"friction": 0.3}
     path.write_text('{"friction": 0.7}')
     with pytest.raises(Damaged, match="its content does not match its record"):
-        read_json(path)
+        provenance.read_json(path)
 
 
 @pytest.mark.parametrize("text", ["[]", "null", '"x"', "3", "{", "[" * 200_000])
@@ -303,7 +247,7 @@ def test_a_record_that_is_no_mapping_is_damaged(tmp_path, text):
     path = tmp_path / "x.json"
     path.write_text("{}")
     path.with_name("x.json.provenance.json").write_text(text)
-    for read in (read_json, read_sidecar, read_provenance):
+    for read in (provenance.read_json, provenance.read_sidecar, provenance.read_provenance):
         with pytest.raises(Damaged, match=r"x\.json\.provenance\.json: damaged or not a record"):
             read(path)
 
@@ -312,7 +256,7 @@ def test_a_record_that_is_no_mapping_is_damaged(tmp_path, text):
 def test_what_is_no_json_is_damaged(tmp_path, text):
     (tmp_path / "x.json").write_text(text)
     with pytest.raises(Damaged):
-        read_json(tmp_path / "x.json")
+        provenance.read_json(tmp_path / "x.json")
 
 
 BOMB = "a: &a [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
@@ -339,19 +283,18 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x, x]\n" + "".join(
 def test_yaml_that_would_do_harm_is_refused_at_once(text, problem, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     with pytest.raises(BadInput, match="No such file"):
-        read_yaml("x.yaml")
+        provenance.read_yaml("x.yaml")
     began = time.process_time()
     with pytest.raises(BadInput, match=problem):
-        load_yaml(text, "mine.yaml")
-    assert time.process_time() - began < 10
-    assert os.listdir(tmp_path) == []
+        provenance.load_yaml(text, "mine.yaml")
+    assert time.process_time() - began < 10 and os.listdir(tmp_path) == []
     (tmp_path / "x.yaml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(BadInput, match="not a text file"):
-        read_yaml("x.yaml")
+        provenance.read_yaml("x.yaml")
 
 
 def test_a_key_given_twice_is_refused_with_its_line():
     with pytest.raises(BadInput, match=r"here: line 3: not YAML: key 'frames' is given twice"):
-        load_yaml("simulation:\n  frames: 5\n  frames: 6\n", "here")
-    assert load_yaml("{a: {frames: 1}, b: {frames: 2}}", "here")["b"] == {"frames": 2}
-    assert load_yaml("a: &x {f: 1}\nb: {<<: *x, g: 2}", "here")["b"] == {"f": 1, "g": 2}
+        provenance.load_yaml("simulation:\n  frames: 5\n  frames: 6\n", "here")
+    assert provenance.load_yaml("{a: {frames: 1}, b: {frames: 2}}", "here")["b"] == {"frames": 2}
+    assert provenance.load_yaml("a: &x {f: 1}\nb: {<<: *x, g: 2}", "here")["b"] == {"f": 1, "g": 2}

@@ -56,19 +56,12 @@ def test_what_is_imported_and_computes_counts(tree, file, content, counts):
     assert (digest("render", tree) != before) == counts
 
 
-def test_a_stage_of_one_module_ignores_its_neighbours(tree):
+def test_a_stage_of_one_module_ignores_its_neighbours_and_of_versions_the_build(tree):
     before = digest("render.packing", tree)
-    (tree / "slipstitch/images/light.py").write_text("C = 1", encoding="utf-8")
+    (tree / "slipstitch/images/light.py").write_text("C = 1\nimport bpy", encoding="utf-8")
     assert digest("render.packing", tree) == before
-
-
-def test_the_version_of_a_library_counts_without_its_build(tree):
     digests = [digest("render", tree, (("bpy", v),)) for v in ("4.5.0", "4.5.0+local", "4.5.1")]
     assert digests[0] == digests[1] != digests[2]
-
-
-def test_an_unknown_stage_is_refused(tree):
-    with pytest.raises(ModuleNotFoundError, match="no stage rende in"):
-        digest("rende", tree)
-    with pytest.raises(ModuleNotFoundError, match="no stage simulate in"):
-        digest("simulate", tree)
+    for stage in ("rende", "simulate"):
+        with pytest.raises(ModuleNotFoundError, match=f"no stage {stage} in"):
+            digest(stage, tree)

@@ -12,21 +12,11 @@ from support.refusal import refused, run
 from slipstitch.base.page.templates import render
 from slipstitch.config import Config, write_config
 from slipstitch.design.cost import job_costs_s
+from slipstitch.report import status as state
 from slipstitch.report.cost import benchmarks, read_benchmark
 from slipstitch.report.page import TEMPLATE, page_context
 from slipstitch.report.results import Results
-from slipstitch.report.status import (
-    Job,
-    Journal,
-    Progress,
-    boot_identity,
-    failures,
-    last_failures,
-    last_lines,
-    process_birth,
-    read_runs,
-    status,
-)
+from slipstitch.report.status import Job, Journal, Progress, failures, read_runs, status
 
 NAMES = ("m00_f0100_r00", "m00_f0300_r00", "m00_f0600_r00", "m00_f1000_r00")
 
@@ -57,21 +47,22 @@ class Bench:
 
     def begin(self, **options):
         self.journal.begin(graph(**options))
-        return self
 
     def tell(self, event, **what):
         record = logging.LogRecord("snakemake", logging.INFO, "", 0, "", (), None)
         vars(record).update(what, event=SimpleNamespace(value=event))
         self.journal.emit(record)
 
-    def start(self, number):
-        self.tell("job_info", jobid=number)
+    def start(self, *numbers):
+        for number in numbers:
+            self.tell("job_info", jobid=number)
 
-    def finish(self, number, wall_s=10.0, cpu_s=8.0):
-        self.write(f"simulate/{NAMES[number]}.parquet", "x" * 1000)
-        row = f"s\th:m:s\tmax_rss\tcpu_time\n{wall_s}\t0:00:10\t300.0\t{cpu_s}\n"
-        self.write(f"benchmarks/simulate/{NAMES[number]}.tsv", row)
-        self.tell("job_finished", job_id=number)
+    def finish(self, *numbers):
+        for number in numbers:
+            self.write(f"simulate/{NAMES[number]}.parquet", "x" * 1000)
+            row = "s\th:m:s\tmax_rss\tcpu_time\n10.0\t0:00:10\t300.0\t8.0\n"
+            self.write(f"benchmarks/simulate/{NAMES[number]}.tsv", row)
+            self.tell("job_finished", job_id=number)
 
     def fail(self, number, log="first line\n\nlast line\n"):
         name = NAMES[number]
@@ -99,8 +90,7 @@ def jobs(bench):
 
 def test_every_job_is_done_running_failed_or_still_to_do(bench):
     bench.begin()
-    for number in (0, 1, 2):
-        bench.start(number)
+    bench.start(0, 1, 2)
     bench.finish(0)
     bench.fail(1)
     with open(bench.results / "status/journal.jsonl", "a") as stream:
@@ -110,8 +100,7 @@ def test_every_job_is_done_running_failed_or_still_to_do(bench):
 
 def test_what_an_earlier_run_made_is_done_and_what_was_deleted_is_not(bench):
     bench.begin()
-    bench.finish(0)
-    bench.finish(1)
+    bench.finish(0, 1)
     bench.journal.end(success=False)
     bench.begin(finished_before=NAMES[:2])
     assert jobs(bench)[0] == "2/4"
@@ -122,22 +111,22 @@ def test_what_an_earlier_run_made_is_done_and_what_was_deleted_is_not(bench):
 def test_a_run_that_was_killed_is_told_from_one_that_goes_on(bench):
     bench.begin()
     bench.start(0)
-    page, stopped = status(bench.results, 3)
-    assert ": running." in page and not stopped  # this process
     journal = bench.results / "status/journal.jsonl"
-    alive = journal.read_text()
-    journal.write_text(alive.replace(f'"born": {process_birth(os.getpid())}', '"born": 1'))
-    page, stopped = status(bench.results, 3)
-    assert "interrupted; to continue: `snakemake --unlock`" in page and stopped
-    journal.write_text(alive.replace(boot_identity(), "another machine"))
-    assert "started on another machine" in status(bench.results, 3)[0]
+    alive, born = journal.read_text(), f'"born": {state.process_birth(os.getpid())}'
+    for text, words, stops in (
+        (alive, ": running.", False),  # this process
+        (alive.replace(born, '"born": 1'), "interrupted; to continue: `snakemake --unlock`", True),
+        (alive.replace(state.boot_identity(), "other"), "started on another machine", False),
+    ):
+        journal.write_text(text)
+        page, stopped = status(bench.results, 3)
+        assert words in page and stopped == stops
 
 
 def test_cpu_times_are_those_that_the_jobs_state_of_all_their_attempts(bench):
     """Snakemake samples every 30 s, and knows of the last attempt only."""
     bench.begin()
-    bench.finish(0, cpu_s=8.0)
-    bench.finish(1, cpu_s=8.0)  # its log says nothing
+    bench.finish(0, 1)  # the second's log says nothing
     (silent,) = benchmarks(bench.results)
     log = f"logs/simulate/{NAMES[0]}.log"
     bench.write(log, "x.parquet: 3 halvings, 1.0 CPU s\nCPU time: 9.50 s\n")
@@ -153,11 +142,12 @@ def test_a_failure_is_the_first_thing_on_the_page_with_the_end_of_its_log(bench)
     bench.start(0)
     bench.fail(0, "\n".join(f"line {k}" for k in range(100)) + "\n\x1b[31mout of thread\n")
     bench.journal.end(success=False)
-    page = status(bench.results, 3)[0].splitlines()
-    assert page[0] == f"failed: simulate_one, output results/simulate/{NAMES[0]}.parquet"
-    assert page[1] == f"  end of results/logs/simulate/{NAMES[0]}.log:"
-    assert page[2:5] == ["    line 98", "    line 99", "     [31mout of thread"]
-    assert "out of thread" in last_failures(bench.results)
+    assert status(bench.results, 3)[0].splitlines()[:5] == [
+        f"failed: simulate_one, output results/simulate/{NAMES[0]}.parquet",
+        f"  end of results/logs/simulate/{NAMES[0]}.log:",
+        *("    line 98", "    line 99", "     [31mout of thread"),
+    ]
+    assert "out of thread" in state.last_failures(bench.results)
 
 
 def test_an_attempt_that_was_retried_is_told_from_what_failed_for_good(bench):
@@ -168,35 +158,24 @@ def test_an_attempt_that_was_retried_is_told_from_what_failed_for_good(bench):
     bench.start(0)
     bench.finish(0)
     bench.journal.end(success=False)
-    assert NAMES[0] not in last_failures(bench.results)
+    assert NAMES[0] not in state.last_failures(bench.results)
     bench.begin(finished_before=NAMES[:1])
     bench.finish(1)
     found = failures(bench.results, read_runs(bench.results))
     assert [then for _, then in found] == ["retried", "completed later", "not completed"]
-    page = status(bench.results, 3)[0]
-    assert "2 earlier failed attempts resolved since" in page
-
-
-def test_the_report_lists_failures_and_retries(bench):
-    bench.begin()
-    bench.start(0)
-    bench.fail(0)
-    bench.start(0)
-    bench.finish(0)
+    assert "2 earlier failed attempts resolved since" in status(bench.results, 3)[0]
     results = Results(bench.results, Config())
     results.simulated = lambda: []
     page = render(TEMPLATE, **page_context(results, datetime.now(UTC)))
-    assert f"results/simulate/{NAMES[0]}.parquet" in page
-    assert "retried" in page
+    assert f"results/simulate/{NAMES[0]}.parquet" in page and "retried" in page
 
 
 def test_the_end_of_a_log_is_short_and_a_stage_the_folder_below_results(tmp_path):
     log = tmp_path / "log"
     log.write_bytes(b"\xff\x00" * 1_000_000 + b"\n\rlast\n")
-    assert last_lines(log, 2)[-1] == "last"
-    assert last_lines(tmp_path / "none") == ["(no log: No such file or directory)"]
-    stages = {"render/preview/a.png": "render", "grid.parquet": "grid", "release": "release"}
-    for name, stage in stages.items():
+    assert state.last_lines(log, 2)[-1] == "last"
+    assert state.last_lines(tmp_path / "none") == ["(no log: No such file or directory)"]
+    for name, stage in (("render/preview/a.png", "render"), ("grid.parquet", "grid"), ("a", "a")):
         job = Job(id=1, rule="a_rule", output=[f"results/{name}"], needed=True)
         assert job.stage == stage
 
