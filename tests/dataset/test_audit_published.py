@@ -15,7 +15,7 @@ from slipstitch.report.publishing import INDEX
 PUBLISHED = Path(__file__).parents[2] / "results/published/instrument"
 MODELS = "models/by_simulation/instrument"
 AVERAGE = f"{MODELS}/ensemble/instrument.safetensors"
-LINEAGE = "dataset/lineage.json"
+LINEAGE, DIGESTS = "dataset/lineage.json", "dataset/digests.json"
 WEIGHTS = f"{MODELS}/seed0/instrument.safetensors"
 
 
@@ -24,9 +24,13 @@ def folder(tmp_path):
     return shutil.copytree(PUBLISHED, tmp_path / "published")
 
 
+def content(folder, name):
+    return json.loads((folder / name).read_text())
+
+
 def listed(folder):
     """The folder with an index of the files that it holds now, as a forger would write it."""
-    index = json.loads((folder / INDEX).read_text())
+    index = content(folder, INDEX)
     names = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
     names -= {INDEX, f"{INDEX}.provenance.json"}
     index["files"] = {name: file_digest(folder / name) for name in sorted(names)}
@@ -36,13 +40,13 @@ def listed(folder):
 
 def audited(folder, code):
     assert run(f"audit {folder} --json {folder.parent}/audit.json") == code
-    return json.loads((folder.parent / "audit.json").read_text())
+    return content(folder.parent, "audit.json")
 
 
 def with_lineage(folder, change=lambda lineage: None):
     """The folder with a record of every file of images, render and simulation."""
     lineage = {}
-    for name in json.loads((folder / "dataset/digests.json").read_text())["files"]:
+    for name in content(folder, DIGESTS)["files"]:
         render = f"results/render/{name}"
         lineage[f"results/sample/{name}"] = {render: "a" * 64}
         lineage[render] = {f"results/simulate/{name}": "b" * 64}
@@ -59,7 +63,7 @@ def test_a_model_is_followed_to_the_digests_of_its_simulations(folder, capsys):
     assert (member["weights"], member["shipped"]) == (WEIGHTS, False)
     # An average is of what its members are of.
     assert member["shards"] == shipped["shards"]
-    record = json.loads((folder / f"{member['weights']}.provenance.json").read_text())
+    record = content(folder, f"{member['weights']}.provenance.json")
     trained_on = {Path(name).name for name in record["inputs"]} - {"manifest.parquet"}
     assert set(shipped["simulations"]) == {f"results/simulate/{name}" for name in trained_on}
     assert set(shipped["simulations"].values()) == {"b" * 64}
@@ -85,7 +89,7 @@ def test_what_is_published_is_intact(name):
 def test_a_score_that_its_predictions_do_not_give_is_found(folder, capsys):
     audited(folder, 0)
     assert "scores not compared with the predictions" in capsys.readouterr().out  # earlier ones
-    scores = json.loads((folder / "metrics.json").read_text())
+    scores = content(folder, "metrics.json")
     assert audit_published(folder, recompute=lambda path: scores).verdict == "intact"
     (split, rows), *_ = scores.items()
     model = next(iter(rows))
@@ -94,10 +98,8 @@ def test_a_score_that_its_predictions_do_not_give_is_found(folder, capsys):
     write_json(folder / "metrics.json", changed)
     (found,) = audit_published(listed(folder), recompute=lambda path: scores).findings
     assert (found.kind.value, found.where) == ("broken chain", "metrics.json")
-    assert found.what == (
-        f"{split} {model} mean_absolute_error is 0.001, its predictions give "
-        f"{rows[model]['mean_absolute_error']}"
-    )
+    given = f"its predictions give {rows[model]['mean_absolute_error']}"
+    assert found.what == f"{split} {model} mean_absolute_error is 0.001, {given}"
 
 
 def test_without_its_lineage_the_chain_ends_at_the_images(folder, capsys):
@@ -112,8 +114,7 @@ def notes_of(folder, start):
 
 
 def test_what_the_run_lacks_and_what_was_added_is_said_and_no_damage(folder):
-    index = json.loads((folder / INDEX).read_text())
-    index["missing"] = ["train/a", "train/b", "scores of models/a"]
+    index = content(folder, INDEX) | {"missing": ["train/a", "train/b", "scores of models/a"]}
     write_json(folder / INDEX, index, {"stage": "publish"})
     for name in (".DS_Store", "more.txt"):
         (folder / name).write_text("theirs")
@@ -131,44 +132,38 @@ def test_commits_and_stages_of_other_code_are_said_and_no_damage(folder, monkeyp
 
     def recorded(stage, *_):
         records = [json.loads(path.read_text()) for path in PUBLISHED.rglob("*.provenance.json")]
-        records += json.loads((PUBLISHED / "origin.json").read_text()).values()
+        records += content(PUBLISHED, "origin.json").values()
         records += [read_metadata(PUBLISHED / "dataset/manifest.parquet")["provenance"]]
         return next(one["code_digest"] for one in records if one["stage"] == stage)
 
-    monkeypatch.setattr("slipstitch.dataset.audit.lineage_check.current_digest", recorded)
+    monkeypatch.setattr("slipstitch.dataset.release.currency.current_digest", recorded)
     # The trainings are older than their average: one of the two is always of other code.
     other = "made by other code or libraries than those that audit: instrument"
     assert notes_of(folder, "made by other code") == [other]
-    path = folder / "origin.json"
-    origin = json.loads(path.read_text())
+    origin = content(folder, "origin.json")
     origin["simulate/m00_f0000_r00.parquet"]["code_digest"] = "0" * 64
-    write_json(path, origin | {"other": [], "odd": {"stage": "../simulate"}})
+    write_json(folder / "origin.json", origin | {"other": [], "odd": {"stage": "../simulate"}})
     assert notes_of(listed(folder), "made by other code") == [f"{other}, simulate"]
 
 
 def edited(name, old, new):
     """A function that replaces a text in a file of the folder once."""
 
-    def edit(folder):
-        text = (folder / name).read_text()
-        (folder / name).write_text(text.replace(old, new, 1))
-
-    return edit
+    return lambda one: (one / name).write_text((one / name).read_text().replace(old, new, 1))
 
 
 def rewritten(name, change):
     """A function that changes the content of a JSON file of the folder."""
 
     def edit(folder):
-        content = json.loads((folder / name).read_text())
-        change(content)
-        write_json(folder / name, content)
+        whole = content(folder, name)
+        change(whole)
+        write_json(folder / name, whole)
 
     return edit
 
 
 def copied(source, name):
-    """A function that puts another file in the place of one of the folder."""
     return lambda folder: shutil.copy(source, folder / name)
 
 
@@ -182,8 +177,7 @@ def without_a_shard(lineage):
     del lineage[max(name for name in lineage if "/sample/" in name)]
 
 
-RECORD = f"{WEIGHTS}.provenance.json"
-DETAILS, DIGESTS = "details.json", "dataset/digests.json"
+RECORD, DETAILS = f"{WEIGHTS}.provenance.json", "details.json"
 OTHER = {"results/sample/manifest.parquet": "0" * 64}
 #: What is changed, whether the index is renewed, and what is found: kind, place, words.
 CHANGED = [

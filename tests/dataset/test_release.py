@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 
 import numpy as np
@@ -23,17 +24,9 @@ from slipstitch.base.provenance import attach_metadata, read_metadata
 from slipstitch.config.catalogue import VIEWPOINTS, fabric_names
 from slipstitch.dataset.audit.auditing import audit_release
 from slipstitch.dataset.manifest import dataset_digest, read_manifest
-from slipstitch.dataset.release import assembly
+from slipstitch.dataset.release import assembly, manifest
 from slipstitch.dataset.release.assembly import write_release
 from slipstitch.dataset.release.checksums import SUMS, read_sums
-from slipstitch.dataset.release.manifest import (
-    parts,
-    parts_of_splits,
-    sampled_rows,
-    split_columns,
-    unseen_fabrics,
-    unseen_frictions,
-)
 from slipstitch.dataset.release.records import rows_digest
 from slipstitch.dataset.videos import decode, pixels_digest
 from slipstitch.design.grid import films, simulations
@@ -43,121 +36,100 @@ from slipstitch.images.camera import pose
 
 ROOT = Path(__file__).parents[2]
 CONFIG = synthetic_chain.config()
-RELEASE = "slipstitch.dataset.release"
-ASSEMBLY = f"{RELEASE}.assembly"
 
 
 @pytest.fixture(scope="module")
-def release(original):
-    return original
-
-
-@pytest.fixture(scope="module")
-def manifest(original):
+def listed(original):
     return pq.read_table(original / "manifest.parquet").to_pylist()
 
 
-@pytest.fixture
-def own_results(results, tmp_path):
-    """A copy of the results that a test may damage."""
-    return Path(shutil.copytree(results, tmp_path / "results"))
-
-
-def test_every_video_is_where_the_manifest_says_with_the_pixels_it_says(release, manifest):
-    for row in manifest:
-        table = pq.read_table(release / row["shard"]).slice(row["first_row"], row["frames"])
+def test_every_video_is_where_the_manifest_says_with_the_pixels_it_says(original, listed):
+    for row in listed:
+        table = pq.read_table(original / row["shard"]).slice(row["first_row"], row["frames"])
         assert set(table["video"].to_pylist()) == {row["video"]}
         assert table["position"].to_pylist() == list(range(row["frames"]))
         images = [decode(image["bytes"], row["video"]) for image in table["image"].to_pylist()]
         assert pixels_digest(np.stack(images)) == row["pixels_sha256"]
 
 
-def test_shards_are_cut_at_the_configured_size(release):
-    shards = sorted((release / "data").iterdir())
+def test_shards_are_cut_at_the_configured_size(original):
+    shards = sorted((original / "data").iterdir())
+    parts = Counter(path.name.partition("-")[0] for path in shards)
+    assert len(shards) > len(parts)
     for path in shards:
         part, number, _, count = path.stem.split("-")
-        assert sum(other.name.startswith(f"{part}-") for other in shards) == int(count)
+        assert parts[part] == int(count)
         if int(number) + 1 < int(count):
             assert pq.read_table(path).nbytes >= CONFIG.release.shard_mb * 1e6
-    assert len(shards) > len({path.name.split("-")[0] for path in shards})
 
 
-def test_sums_are_those_of_sha256sum_and_no_file_may_be_written(release):
-    answer = subprocess.run(
-        ["sha256sum", "--check", "--strict", "--quiet", SUMS], cwd=release, capture_output=True
-    )
+def test_sums_are_those_of_sha256sum_and_no_file_may_be_written(original):
+    words = ["sha256sum", "--check", "--strict", "--quiet", SUMS]
+    answer = subprocess.run(words, cwd=original, capture_output=True)
     assert answer.returncode == 0, answer.stdout
-    there = {path.relative_to(release).as_posix() for path in release.rglob("*") if path.is_file()}
-    assert set(read_sums(release)) == there - {SUMS}
-    assert all((release / name).stat().st_mode & 0o222 == 0 for name in there)
+    there = {
+        path.relative_to(original).as_posix() for path in original.rglob("*") if path.is_file()
+    }
+    assert set(read_sums(original)) == there - {SUMS}
+    assert all((original / name).stat().st_mode & 0o222 == 0 for name in there)
 
 
-def test_sampled_manifest_can_be_had_back(release, results, manifest):
+def test_sampled_manifest_can_be_had_back(original, results, listed):
     sampled = results / "sample/manifest.parquet"
-    notes = read_metadata(release / "manifest.parquet")
-    rows = sampled_rows(manifest, notes["sampled_columns"])
+    notes = read_metadata(original / "manifest.parquet")
+    rows = manifest.sampled_rows(listed, notes["sampled_columns"])
     assert rows == read_manifest(sampled.parent)[0]
     assert dataset_digest(rows) == read_metadata(sampled)["dataset_digest"]
 
 
-def test_splits_of_the_manifest_keep_apart_what_they_say(manifest):
-    frame = pd.DataFrame(manifest)
+def test_splits_of_the_manifest_keep_apart_what_they_say(listed):
+    frame = pd.DataFrame(listed)
     trains = (frame.texture_role == "train") & (frame.viewpoint_role == "train")
 
     def side(split, name):
         return frame[frame[f"split_{split}"] == name]
 
-    for split, held in (
-        ("by_simulation", "simulation"),
-        ("unseen_friction", "friction"),
-        ("unseen_fabric", "material"),
-        ("unseen_texture", "texture"),
-        ("unseen_viewpoint", "viewpoint"),
-    ):
+    held_out = {"by_simulation": "simulation", "unseen_friction": "friction"}
+    held_out |= {"unseen_fabric": "material", "unseen_texture": "texture"}
+    for split, held in (held_out | {"unseen_viewpoint": "viewpoint"}).items():
         test, train = side(split, "test"), side(split, "train")
-        assert len(test) and len(train)
+        assert len(test) and len(train) and trains[train.index].all()
         assert not set(test[held]) & set(train[held]), split
-        assert trains[train.index].all()
     for split in ("by_video", "by_simulation", "unseen_friction", "unseen_fabric"):
         assert trains[frame[f"split_{split}"].notna()].all()
     assert set(side("unseen_texture", "test").viewpoint_role) == {"train"}
     assert set(side("unseen_friction", "test").friction) == {0.6}
-    shared = set(side("by_video", "test").simulation) & set(side("by_video", "train").simulation)
-    assert shared
+    assert set(side("by_video", "test").simulation) & set(side("by_video", "train").simulation)
 
 
-@pytest.mark.parametrize(
-    ("frictions", "share", "expected"),
-    [
+def test_unseen_frictions_lie_between_seen_ones():
+    for frictions, share, expected in (
         ([0.1, 0.6], 0.2, []),
         ([0.1, 0.3, 1.0], 0.2, [0.3]),
         ([k / 10 for k in range(16)], 0.2, [0.3, 0.8, 1.2]),
         ([0.1, 0.2, 0.3, 0.4], 0.9, [0.3]),
-    ],
-)
-def test_unseen_frictions_lie_between_seen_ones(frictions, share, expected):
-    assert unseen_frictions(frictions, share) == expected
+    ):
+        assert manifest.unseen_frictions(frictions, share) == expected
 
 
 def test_unseen_fabrics_are_drawn_with_the_seed_and_leave_some_to_train():
     names = [f"fabric {k}" for k in range(10)]
-    drawn = {tuple(unseen_fabrics(names, 0.2, seed)) for seed in range(20)}
-    assert len(drawn) > 5
-    assert {len(one) for one in drawn} == {2}
-    assert unseen_fabrics(names, 0.2, 3) == unseen_fabrics(names[::-1], 0.2, 3)
-    assert unseen_fabrics(["one"], 0.2, 1) == []
-    assert len(unseen_fabrics(["one", "two"], 0.9, 1)) == 1
+    drawn = {tuple(manifest.unseen_fabrics(names, 0.2, seed)) for seed in range(20)}
+    assert len(drawn) > 5 and {len(one) for one in drawn} == {2}
+    assert manifest.unseen_fabrics(names, 0.2, 3) == manifest.unseen_fabrics(names[::-1], 0.2, 3)
+    assert manifest.unseen_fabrics(["one"], 0.2, 1) == []
+    assert len(manifest.unseen_fabrics(["one", "two"], 0.9, 1)) == 1
 
 
 def test_interpolated_videos_bring_nothing_of_what_is_held_out_into_training():
     """Of 6 coefficients and 4 fabrics, films lie between any neighbours that are dragged."""
-    grid = {"materials": fabric_names()[:4], "frictions": [0.4, 0.6, 0.8, 1.0, 1.2, 1.4]}
-    render = {"viewpoints": ["bench_1", "bench_2"], "textures": ["stripes"]}
     config = synthetic_chain.config(
-        grid=grid | {"replicates": 2},
-        render=render | {"interpolation": {"share": 0.7}},
+        grid={"materials": fabric_names()[:4], "replicates": 2,
+              "frictions": [0.4, 0.6, 0.8, 1.0, 1.2, 1.4]},
+        render={"viewpoints": ["bench_1", "bench_2"], "textures": ["stripes"],
+                "interpolation": {"share": 0.7}},
         train={"splits": ["by_simulation"]},
-    )
+    )  # fmt: skip
     grid, shown = {one.id: one for one in simulations(config)}, interpolations(config)
     rows = [
         {
@@ -169,7 +141,7 @@ def test_interpolated_videos_bring_nothing_of_what_is_held_out_into_training():
         }
         for name, view in films(config)
     ]
-    splits = split_columns(rows, config)
+    splits = manifest.split_columns(rows, config)
     for split, key in (("unseen_friction", "friction"), ("unseen_fabric", "material")):
         sides = dict(zip(films(config), splits[split], strict=True))
         test = {film for film, side in sides.items() if side == "test"}
@@ -182,124 +154,119 @@ def test_interpolated_videos_bring_nothing_of_what_is_held_out_into_training():
             parents = [grid[name] for name in (shown[film].weights if film in shown else film[:1])]
             assert held.isdisjoint(getattr(parent, key) for parent in parents)
     frictions, sides = np.array([row["friction"] for row in rows]), splits["unseen_friction"]
-    sides = np.array(sides)
-    apart = np.subtract.outer(frictions[sides == "train"], frictions[sides == "test"])
-    assert np.abs(apart).min() > 0.19
+    trained, tested = (frictions[np.array(sides) == side] for side in ("train", "test"))
+    assert np.abs(np.subtract.outer(trained, tested)).min() > 0.19
 
 
 def test_any_kind_with_a_role_gets_its_split():
-    base = {"material": "a", "friction": 0.1, "split_by_video": "train"}
-    base |= {"simulation": "m00_f0100_r00", "viewpoint_id": "v00"}
-    base |= {"split_by_simulation": "train", "floor_role": "train", "texture_role": "train"}
+    base = {"material": "a", "friction": 0.1, "simulation": "m00_f0100_r00", "viewpoint_id": "v00"}
+    base |= dict.fromkeys(("split_by_video", "split_by_simulation"), "train")
+    base |= dict.fromkeys(("floor_role", "texture_role"), "train")
     floor = base | {"split_by_video": "test", "floor_role": "test"}
-    splits = split_columns([base, floor, floor | {"texture_role": "test"}], CONFIG)
+    splits = manifest.split_columns([base, floor, floor | {"texture_role": "test"}], CONFIG)
     assert splits == {"unseen_floor": ["train", "test", None]}
-    assert parts(splits) == ["part00", "part01", "part02"]
-    found = parts_of_splits(splits, parts(splits))
+    assert manifest.parts(splits) == ["part00", "part01", "part02"]
+    found = manifest.parts_of_splits(splits, manifest.parts(splits))
     assert found == {"unseen_floor": {"train": ["part00"], "test": ["part01"]}}
 
 
 @pytest.mark.slow
-def test_lines_of_the_card_load_the_data(release, manifest, tmp_path):
-    card = (release / "README.md").read_text(encoding="utf-8")
+def test_lines_of_the_card_load_the_data(original, listed, tmp_path):
+    card = (original / "README.md").read_text(encoding="utf-8")
     blocks = re.findall(r"```python\n(.*?)```", card, re.DOTALL)
     assert len(blocks) == 3
     offline = {"HF_HOME": str(tmp_path), "HF_HUB_OFFLINE": "1", "HF_DATASETS_OFFLINE": "1"}
-    of_run = {"cwd": release, "env": os.environ | offline, "text": True}
+    of_run = {"cwd": original, "env": os.environ | offline, "text": True}
     said = [subprocess.check_output([sys.executable, "-c", one], **of_run) for one in blocks]
-    first = min(
-        (row for row in manifest if row["split_by_simulation"] == "train"),
-        key=lambda row: (row["shard"], row["first_row"]),
-    )
+    trained = [row for row in listed if row["split_by_simulation"] == "train"]
+    first = min(trained, key=lambda row: (row["shard"], row["first_row"]))
     assert said[0].split()[:2] == [first["material"], str(first["friction"])]
     assert "(16, 16)" in said[0]
     assert "torch.Size([5, 3, 16, 16])" in said[2]
 
 
-def test_hugging_face_splits_hold_the_videos_of_the_manifest(release, manifest, tmp_path):
-    card = (release / "README.md").read_text(encoding="utf-8")
+def test_hugging_face_splits_hold_the_videos_of_the_manifest(original, listed, tmp_path):
+    card = (original / "README.md").read_text(encoding="utf-8")
     head = yaml.safe_load(card.split("---\n")[1])
     configs = {one["config_name"]: one["data_files"] for one in head["configs"]}
-    names = {name.removeprefix("split_") for name in manifest[0] if name.startswith("split_")}
+    names = {name.removeprefix("split_") for name in listed[0] if name.startswith("split_")}
     assert set(configs) == names | {"everything"}
     for name, one in ((split, one) for split in names for one in configs[split]):
-        paths = [path for pattern in one["path"] for path in release.glob(pattern)]
+        paths = [path for pattern in one["path"] for path in original.glob(pattern)]
         found = pd.concat(pd.read_parquet(path, columns=["video"]) for path in paths)["video"]
-        there = {row["video"] for row in manifest if row[f"split_{name}"] == one["split"]}
+        there = {row["video"] for row in listed if row[f"split_{name}"] == one["split"]}
         assert set(found) == there
 
 
-def test_croissant_is_valid_and_reads_the_records_back(release, manifest):
+def test_croissant_is_valid_and_reads_the_records_back(original, listed):
     import mlcroissant as mlc
 
-    dataset = mlc.Dataset(jsonld=release / "croissant.json")
+    dataset = mlc.Dataset(jsonld=original / "croissant.json")
     assert not dataset.metadata.ctx.issues.errors
-    videos = list(dataset.records("videos"))
-    assert len(videos) == len(manifest)
-    assert videos[0]["videos/video"].decode() == manifest[0]["video"]
-    assert videos[0]["videos/friction"] == manifest[0]["friction"]
-    frames = list(dataset.records("frames"))
-    assert len(frames) == sum(row["frames"] for row in manifest)
-    row = next(r for r in manifest if r["video"] == frames[0]["frames/video"].decode())
+    videos, frames = (list(dataset.records(name)) for name in ("videos", "frames"))
+    assert len(videos) == len(listed)
+    assert videos[0]["videos/video"].decode() == listed[0]["video"]
+    assert videos[0]["videos/friction"] == listed[0]["friction"]
+    assert len(frames) == sum(row["frames"] for row in listed)
+    row = next(r for r in listed if r["video"] == frames[0]["frames/video"].decode())
     video = [f for f in frames if f["frames/video"].decode() == row["video"]]
     pixels = np.stack([np.asarray(frame["frames/image"]) for frame in video])
     assert pixels_digest(pixels) == row["pixels_sha256"]
 
 
-def test_card_shows_how_near_composed_images_are_to_direct_ones(release):
-    card = (release / "README.md").read_text()
-    compared = json.loads((release / "records/render/verification.json").read_text())["comparisons"]
-    floors = {"matte": 38, "mirrors": 36}
-    for floor, least_db in floors.items():
+def test_card_shows_how_near_composed_images_are_to_direct_ones(original):
+    card = (original / "README.md").read_text()
+    compared = json.loads((original / "records/render/verification.json").read_text())[
+        "comparisons"
+    ]
+    for floor, least_db in {"matte": 38, "mirrors": 36}.items():
         of_floor = [one for one in compared if (one["floor"] == "matte") == (floor == "matte")]
-        assert of_floor
         psnr_db = [one["psnr_db"] for one in of_floor]
         assert (
             f"| {floor} | {len(of_floor)} | {min(psnr_db):.1f} dB | {np.mean(psnr_db):.1f} dB | "
             f"{least_db} dB | {min(one['ssim'] for one in of_floor):.3f} |"
         ) in card
-    assert "verification.json" in (release / "SHA256SUMS").read_text()
+    assert "verification.json" in (original / "SHA256SUMS").read_text()
 
 
-def test_crate_knows_every_job_and_what_it_was_made_from(release):
+def test_crate_knows_every_job_and_what_it_was_made_from(original):
     from rocrate.rocrate import ROCrate
 
-    crate = ROCrate(release)
+    crate = ROCrate(original)
     assert crate.mainEntity.id == "code/Snakefile"
     profiles = {entity.id for entity in crate.root_dataset["conformsTo"]}
     assert "https://w3id.org/ro/wfrun/workflow/0.5" in profiles
     actions = {entity.id: entity for entity in crate.get_by_type("CreateAction")}
     runs = 2 * 4 * 2
-    assert sum("/render/m" in name for name in actions) == runs * 3
-    assert sum("/simulate/" in name for name in actions) == runs
+    for stage, count in (("/render/m", 3 * runs), ("/simulate/", runs)):
+        assert sum(stage in name for name in actions) == count
     render = actions["#job/results/render/m05_f0300_r00_v00.parquet"]
     assert [one.id for one in render["object"]] == ["#results/simulate/m05_f0300_r00.parquet"]
     assert render["instrument"]["name"] == "slipstitch render"
     steps = {one.id: one for one in crate.mainEntity["step"]}
     (engine,) = crate.get_by_type("OrganizeAction")
     assert engine["result"].id == "#run"
-    started = {one["object"].id: one for one in engine["object"]}
+    started = {one["object"].id: steps[one["instrument"].id] for one in engine["object"]}
     assert started.keys() == actions.keys() - {"#run"}
-    for name, control in started.items():
-        step = steps[control["instrument"].id]
+    for name, step in started.items():
         assert step["workExample"].id == actions[name]["instrument"].id
     for entity in crate.get_by_type("File"):
         if entity.id != "ro-crate-metadata.json":
-            data = (release / entity.id).read_bytes()
+            data = (original / entity.id).read_bytes()
             assert entity["sha256"] == hashlib.sha256(data).hexdigest(), entity.id
 
 
 @pytest.mark.parametrize("elsewhere", [False, True])
-def test_same_results_make_the_same_bytes(release, results, tmp_path, elsewhere):
+def test_same_results_make_the_same_bytes(original, results, tmp_path, elsewhere):
     """Also where an equal configuration made them in another folder."""
     again = tmp_path / "release"
     made = synthetic_chain.write(CONFIG, tmp_path) if elsewhere else results
     write_release(CONFIG, made, again, ROOT)
-    sums, other = read_sums(release), read_sums(again)
+    sums, other = read_sums(original), read_sums(again)
     differing = {name for name in sums | other if sums.get(name) != other.get(name)}
     if elsewhere:  # records hold times and, of files that hold times, digests
         assert all(name.startswith(("records/", "simulations/", "ro-crate")) for name in differing)
-        for path in (release / "simulations").iterdir():
+        for path in (original / "simulations").iterdir():
             assert rows_digest(path) == rows_digest(again / "simulations" / path.name)
         assert "records/config.json" not in differing
         assert sum(name.startswith("data/") for name in sums) > 10
@@ -309,18 +276,18 @@ def test_same_results_make_the_same_bytes(release, results, tmp_path, elsewhere)
 
 @pytest.mark.slow
 def test_rows_digest_is_of_the_rows_alone(tmp_path):
-    def digest(table, **options):
-        pq.write_table(table, tmp_path / "x.parquet", **options)
-        return rows_digest(tmp_path / "x.parquet")
-
     table = pa.table({"a": np.arange(7.0), "b": list("abcdefg")})
     noted = attach_metadata(table, {"wall_s": 3.0})
-    assert digest(table) == digest(noted, row_group_size=2, compression="gzip")
-    assert digest(table) != digest(table.slice(1))
+    packed = {"row_group_size": 2, "compression": "gzip"}
+    digests = []
+    for one, options in ((table, {}), (noted, packed), (table.slice(1), {})):
+        pq.write_table(one, tmp_path / "x.parquet", **options)
+        digests.append(rows_digest(tmp_path / "x.parquet"))
+    assert digests[0] == digests[1] != digests[2]
 
 
-def test_no_file_names_a_place_on_this_machine(release, results):
-    for path in release.rglob("*"):
+def test_no_file_names_a_place_on_this_machine(original, results):
+    for path in original.rglob("*"):
         if path.suffix in (".json", ".md", ".cff") and "code" not in path.parts:
             text = path.read_text(encoding="utf-8")
             assert str(results.parent) not in text, path
@@ -372,43 +339,34 @@ def _remake(path):
     pq.write_table(attach_metadata(pq.read_table(path), {"remade": True}), path)
 
 
-REFUSED = {
-    "half finished": (
-        lambda results, _: (results / "sample/m05_f0300_r00.parquet").unlink(),
-        r"sample/m05_f0300_r00.parquet: no such file",
-    ),
-    "not belonging together": (
-        lambda results, _: _remake(results / "simulate/m05_f0300_r00.parquet"),
-        r"not the file that results/render/m05_f0300_r00_v00",
-    ),
-    "of other versions": (
-        lambda _, patch: patch(f"{ASSEMBLY}.pinned_versions", lambda path: {"numpy": "1.0"}),
-        r"was made with numpy .*; envs/requirements.lock has 1.0",
-    ),
-    "of another fabric": (
-        lambda _, patch: patch(f"{RELEASE}.currency.fabric_digest", lambda name: "0" * 64),
-        r"different catalogue: catalogue\.fabrics\.",
-    ),
-    "of other code": (
-        lambda _, patch: patch(f"{ASSEMBLY}.current_digest", lambda stage: "0" * 64),
-        "made by different code of the stage",
-    ),
-}
+OTHER = synthetic_chain.config(sample={"frames": 5, "test_fraction": 0.3})
+#: What is done to results, or to what a name stands for -> why they are refused.
+REFUSED = [
+    (lambda results: (results / "sample/m05_f0300_r00.parquet").unlink(), None,
+     r"sample/m05_f0300_r00.parquet: no such file"),
+    (lambda results: _remake(results / "simulate/m05_f0300_r00.parquet"), None,
+     r"not the file that results/render/m05_f0300_r00_v00"),
+    ("assembly.pinned_versions", {"numpy": "1.0"}, "numpy .*; envs/requirements.lock has 1.0"),
+    ("currency.fabric_digest", "0" * 64, r"different catalogue: catalogue\.fabrics\."),
+    ("currency.current_digest", "0" * 64, "made by different code of the stage"),
+]  # fmt: skip
 
 
-@pytest.mark.parametrize("name", REFUSED)
-def test_results_are_refused(own_results, tmp_path, monkeypatch, name):
-    prepare, problem = REFUSED[name]
-    prepare(own_results, monkeypatch.setattr)
+@pytest.mark.parametrize(("what", "instead", "problem"), REFUSED)
+def test_results_are_refused(results, tmp_path, monkeypatch, what, instead, problem):
+    if instead is None:
+        results = Path(shutil.copytree(results, tmp_path / "results"))
+        what(results)
+    else:
+        monkeypatch.setattr(f"slipstitch.dataset.release.{what}", lambda *_: instead)
     with pytest.raises(BadInput, match=problem):
-        write_release(CONFIG, own_results, tmp_path / "out", ROOT)
+        write_release(CONFIG, results, tmp_path / "out", ROOT)
     assert not (tmp_path / "out").exists()
 
 
 def test_another_configuration_and_a_folder_that_is_no_checkout_are_refused(results, tmp_path):
-    other = synthetic_chain.config(sample={"frames": 5, "test_fraction": 0.3})
     for config, project, problem in (
-        (other, ROOT, r"different configuration: sample.test_fraction: 0.1 -> 0.3"),
+        (OTHER, ROOT, r"different configuration: sample.test_fraction: 0.1 -> 0.3"),
         (CONFIG, tmp_path, "not a workflow folder of Slipstitch: no Snakefile"),
     ):
         with pytest.raises(BadInput, match=problem):

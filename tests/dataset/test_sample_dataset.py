@@ -21,13 +21,8 @@ from slipstitch.config import resolve_config, write_config
 from slipstitch.config.train import REFLECTIVE
 from slipstitch.dataset.dataset import write_dataset
 from slipstitch.dataset.videos import read_videos, takes_part
+from slipstitch.design import splits
 from slipstitch.design.grid import sampled_frames, simulations
-from slipstitch.design.splits import (
-    check_no_simulation_on_both_sides,
-    sides_of_simulations,
-    split_by_simulation,
-    split_by_video,
-)
 
 
 @pytest.fixture(scope="module")
@@ -37,8 +32,7 @@ def config():
 
 @pytest.fixture(scope="module")
 def rendered(config, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("render")
-    return synthetic.write_shards(config, folder)
+    return synthetic.write_shards(config, tmp_path_factory.mktemp("render"))
 
 
 @pytest.fixture
@@ -55,13 +49,11 @@ def test_every_video_has_its_frames_labels_and_sides(config, rendered, tmp_path)
     one = rows[-1]
     table = pq.read_table(tmp_path / one["file"])
     frames = [row for row in table.to_pylist() if row["video"] == one["video"]]
-    assert [row["frame"] for row in frames] == [0, 10, 20, 30, 40, 50]
-    assert [row["position"] for row in frames] == list(range(6))
-    assert {(row["material"], row["friction"]) for row in frames} == {
-        (one["material"], one["friction"])
-    }
-    with Image.open(io.BytesIO(frames[0]["image"]["bytes"])) as image:
-        assert image.size == (16, 16)
+    assert [(row["position"], row["frame"]) for row in frames] == [*enumerate(range(0, 60, 10))]
+    for row in frames:
+        assert (row["material"], row["friction"]) == (one["material"], one["friction"])
+        with Image.open(io.BytesIO(row["image"]["bytes"])) as image:
+            assert image.size == (16, 16)
     assert read_videos(tmp_path).points_m is None  # these shards have none
     # The files say that they hold images and where they come from.
     path = tmp_path / rows[0]["file"]
@@ -77,11 +69,8 @@ def test_places_of_points_go_with_their_frames(config, tmp_path):
     shards = sorted((tmp_path / "render").glob("*.parquet"))
     videos = read_videos(tmp_path / "sample", frames=3)
     known = read_metadata(shards[0])["marked_points_m"]
-    of_shard = [
-        k
-        for k, row in enumerate(videos.rows)
-        if shards[0].stem == f"{row['simulation']}_{row['viewpoint_id']}"
-    ]
+    names = [f"{row['simulation']}_{row['viewpoint_id']}" for row in videos.rows]
+    of_shard = [k for k, name in enumerate(names) if name == shards[0].stem]
     assert len(of_shard) == 2  # textures
     for k in of_shard:
         for place, frame in zip(videos.points_m[k], (0, 20, 40), strict=True):
@@ -105,15 +94,23 @@ def sampled(folder, **sections):
     return write_dataset(config, synthetic.write_shards(config, folder), folder / "sample")
 
 
-def test_test_only_textures_and_views_are_marked_and_never_split_for_training(tmp_path):
-    only = {"test_textures": ["chevron"], "test_viewpoints": ["calibrated_-15"]}
-    rows = sampled(tmp_path, render=only)
+def test_what_is_for_testing_only_is_marked_and_never_trains(tmp_path):
+    """Textures and viewpoints test by video; coefficients and fabrics off the grid in both."""
+    looks = {"test_textures": ["chevron"], "test_viewpoints": ["calibrated_-15"]}
+    further = {"test_frictions": [0.35], "test_materials": ["royal-target"]}
+    only = {"texture": "chevron", "viewpoint": "calibrated_-15"}
+    only |= {"friction": 0.35, "material": "royal-target"}
+    rows = sampled(tmp_path / "further", render=looks, grid=further)
     for row in rows:
-        only = "test" in (row["texture_role"], row["viewpoint_role"])
-        assert only == (row["texture"] == "chevron" or row["viewpoint"] == "calibrated_-15")
-        if only:
-            assert row["split_by_video"] == "test"
+        new = {kind for kind, value in only.items() if row[kind] == value}
+        assert new == {kind for kind in only if row[f"{kind}_role"] == "test"}
+        assert not new or row["split_by_video"] == "test"
+        assert not new & {"friction", "material"} or row["split_by_simulation"] == "test"
     assert {row["viewpoint_turn_deg"] for row in rows if row["viewpoint_role"] == "test"} == {-15}
+    assert {row["friction_id"] for row in rows if row["friction_role"] == "test"} == {"f0350"}
+    sides = {row["video"]: row["split_by_simulation"] for row in rows}
+    without = sampled(tmp_path / "without")
+    assert all(sides[row["video"]] == row["split_by_simulation"] for row in without)
 
 
 def test_videos_on_other_floors_have_the_sides_of_the_same_on_their_own(tmp_path):
@@ -127,21 +124,6 @@ def test_videos_on_other_floors_have_the_sides_of_the_same_on_their_own(tmp_path
         assert row["video"] != twin["video"]
         assert all(row[side] == twin[side] for side in ("split_by_video", "split_by_simulation"))
         assert not takes_part(row) and takes_part(row, REFLECTIVE) and takes_part(twin, REFLECTIVE)
-
-
-def test_simulations_off_the_grid_and_of_other_fabrics_are_for_testing_only(tmp_path):
-    further = {"test_frictions": [0.35], "test_materials": ["royal-target"]}
-    rows = sampled(tmp_path / "further", grid=further)
-    for row in rows:
-        roles = (row["material_role"], row["friction_role"])
-        assert roles[0] == ("test" if row["material"] == "royal-target" else "train")
-        assert roles[1] == ("test" if row["friction"] == 0.35 else "train")
-        if "test" in roles:
-            assert row["split_by_video"] == row["split_by_simulation"] == "test"
-    assert {row["friction_id"] for row in rows if row["friction_role"] == "test"} == {"f0350"}
-    sides = {row["video"]: row["split_by_simulation"] for row in rows}
-    without = sampled(tmp_path / "without")
-    assert all(sides[row["video"]] == row["split_by_simulation"] for row in without)
 
 
 def test_more_phases_keep_more_frames_and_the_same_first_ones(config, tmp_path):
@@ -164,41 +146,31 @@ def _spoil(rows):
     return rows
 
 
-@pytest.mark.parametrize(
-    ("change", "problem"),
-    [
-        (lambda rows: [row for row in rows if row["frame"] != 20], "lacks frame 20"),
-        (lambda rows: [*rows, rows[0]], "has frame 0 twice"),
-        (_spoil, "frame 30: not an image file, or a damaged image"),
-    ],
-)
-def test_what_is_wrong_with_a_frame_is_named(config, shards, tmp_path, change, problem):
+#: What becomes of the rows of a shard, or of the configuration -> what is said.
+WRONG = [
+    (lambda rows: [row for row in rows if row["frame"] != 20], {}, "lacks frame 20"),
+    (lambda rows: [*rows, rows[0]], {}, "has frame 0 twice"),
+    (_spoil, {}, "frame 30: not an image file, or a damaged image"),
+    (list, {"render": {"pixels": 32}}, "image is 16x16 RGB; must be 32x32 RGB"),
+    (list, {"grid": {"replicates": 1}}, r"'m\d\d_f\d+_r01' is not in the configured grid"),
+]
+
+
+@pytest.mark.parametrize(("change", "sections", "problem"), WRONG)
+def test_what_is_wrong_with_the_images_is_named(shards, tmp_path, change, sections, problem):
     table = pq.read_table(shards[0])
     changed = pa.Table.from_pylist(change(table.to_pylist()), schema=table.schema)
     pq.write_table(changed, shards[0])
     with pytest.raises(BadInput, match=problem):
-        write_dataset(config, shards, tmp_path / "out")
-
-
-@pytest.mark.parametrize(
-    ("sections", "problem"),
-    [
-        ({"render": {"pixels": 32}}, "image is 16x16 RGB; must be 32x32 RGB"),
-        ({"grid": {"replicates": 1}}, r"'m\d\d_f\d+_r01' is not in the configured grid"),
-    ],
-)
-def test_images_of_another_configuration_are_refused(rendered, tmp_path, sections, problem):
-    with pytest.raises(BadInput, match=problem):
-        write_dataset(synthetic.config(**sections), rendered, tmp_path)
+        write_dataset(synthetic.config(**sections), shards, tmp_path / "out")
 
 
 def test_the_command_says_what_it_wrote_and_of_a_damaged_file_one_line(
     config, shards, tmp_path, capsys
 ):
     write_config(config, tmp_path / "c.json")
-    command = (
-        f"sample --config {tmp_path}/c.json --out-dir {tmp_path}/o {' '.join(map(str, shards))}"
-    )
+    paths = " ".join(map(str, shards))
+    command = f"sample --config {tmp_path}/c.json --out-dir {tmp_path}/o {paths}"
     assert run(command) == 0
     said = capsys.readouterr().out
     assert "32 videos of 8 simulations, 6 frames each" in said
@@ -217,43 +189,33 @@ def grid(materials, frictions, replicates):
     ]
 
 
-def test_the_papers_frames_are_every_tenth_from_the_first():
-    assert sampled_frames(300, 30).tolist() == list(range(0, 300, 10))
-
-
 @pytest.mark.parametrize(("total", "sampled"), [(300, 7), (31, 30), (30, 30), (5, 1)])
 def test_intervals_are_regular_to_one_frame(total, sampled):
     frames = sampled_frames(total, sampled)
     assert len(frames) == sampled and frames[0] == 0 and frames[-1] < total
     gaps = np.diff(np.append(frames, total))
     assert gaps.min() >= 1 and gaps.max() - gaps.min() <= 1
-
-
-@pytest.mark.parametrize(("total", "sampled"), [(10, 11), (10, 0), (0, 1)])
-def test_more_frames_than_there_are_is_refused(total, sampled):
-    with pytest.raises(BadInput, match="cannot be sampled"):
-        sampled_frames(total, sampled)
+    assert sampled_frames(300, 30).tolist() == list(range(0, 300, 10))  # the paper's
+    for most, asked in ((10, 11), (10, 0), (0, 1)):
+        with pytest.raises(BadInput, match="cannot be sampled"):
+            sampled_frames(most, asked)
 
 
 def test_by_video_has_the_asked_shares_and_does_not_depend_on_the_order_of_the_ids():
     videos = [f"v{i}" for i in range(200)]
-    sides = split_by_video(videos, 0.1, 0.1, seed=3)
+    sides = splits.split_by_video(videos, 0.1, 0.1, seed=3)
     assert Counter(sides.values()) == {"train": 160, "validation": 20, "test": 20}
-    assert sides == split_by_video(videos[::-1], 0.1, 0.1, seed=3)
-    assert sides != split_by_video(videos, 0.1, 0.1, seed=4)
+    assert sides == splits.split_by_video(videos[::-1], 0.1, 0.1, seed=3)
+    assert sides != splits.split_by_video(videos, 0.1, 0.1, seed=4)
 
 
 def test_two_replicates_one_of_every_pair_trains_and_every_friction_is_tested_equally():
-    sides = split_by_simulation(grid(3, 4, 2), 0.1, 0.1, seed=1)
+    sides = splits.split_by_simulation(grid(3, 4, 2), 0.1, 0.1, seed=1)
     assert Counter(sides.values()) == {"train": 12, "validation": 4, "test": 8}
-    pairs = {one[:2] for one, side in sides.items() if side == "train"}
-    assert len(pairs) == 12
+    trained = [one for one, side in sides.items() if side == "train"]
+    assert len({one[:2] for one in trained}) == 12 and {one[2] for one in trained} == {"r00"}
     assert set(Counter(one[1] for one, side in sides.items() if side == "test").values()) == {2}
-    assert {one[2] for one, side in sides.items() if side == "train"} == {"r00"}
-
-
-def test_ten_replicates_give_the_asked_shares():
-    sides = split_by_simulation(grid(10, 16, 10), 0.1, 0.1, seed=1)
+    sides = splits.split_by_simulation(grid(10, 16, 10), 0.1, 0.1, seed=1)
     assert Counter(sides.values()) == {"train": 1280, "validation": 160, "test": 160}
 
 
@@ -262,11 +224,10 @@ def test_without_replicates_whole_pairs_are_held_out_and_no_class_goes_untrained
     materials, frictions
 ):
     everything = grid(materials, frictions, 1)
-    sides = split_by_simulation(everything, 0.1, 0.1, seed=5)
+    sides = splits.split_by_simulation(everything, 0.1, 0.1, seed=5)
     assert set(sides) == set(everything)
     trained = [one for one, side in sides.items() if side == "train"]
-    assert len({one[0] for one in trained}) == materials
-    assert len({one[1] for one in trained}) == frictions
+    assert [len({one[k] for one in trained}) for k in (0, 1)] == [materials, frictions]
     tested = Counter(one[1] for one, side in sides.items() if side == "test")
     assert len(tested) == frictions and len(set(tested.values())) == 1
 
@@ -280,7 +241,7 @@ def test_a_coefficient_that_only_trains_is_never_held_out_and_moves_no_other():
         grid = {"materials": fabrics, "frictions": frictions}
         chosen = {"grid": grid, "sample": sample | {"train_only_frictions": only}}
         config = resolve_config(chosen)
-        held = sides_of_simulations(config)
+        held = splits.sides_of_simulations(config)
         names = simulations(config)
         return {(one.material, one.friction, one.replicate): held[one.id] for one in names}
 
@@ -295,13 +256,15 @@ def test_a_coefficient_that_only_trains_is_never_held_out_and_moves_no_other():
 
 @pytest.mark.parametrize(("materials", "frictions"), [(1, 4), (1, 1), (2, 1)])
 def test_a_grid_too_small_to_hold_anything_out_is_refused(materials, frictions):
-    with pytest.raises(BadInput, match="at least 2 replicates are needed"):
-        split_by_simulation(grid(materials, frictions, 1), 0.1, 0.1, seed=0)
-    with pytest.raises(BadInput, match=r"grid\.replicates must be at least 2"):
-        split_by_simulation(grid(materials, frictions, 1), 0.1, 0.1, seed=0, hold_out="replicate")
+    for options, problem in (
+        ({}, "at least 2 replicates are needed"),
+        ({"hold_out": "replicate"}, r"grid\.replicates must be at least 2"),
+    ):
+        with pytest.raises(BadInput, match=problem):
+            splits.split_by_simulation(grid(materials, frictions, 1), 0.1, 0.1, seed=0, **options)
 
 
 def test_a_simulation_on_both_sides_is_named():
     with pytest.raises(BadInput, match=r"leaks: a is in train and test \(1 of 2"):
-        check_no_simulation_on_both_sides(["a", "b", "a"], ["train", "test", "test"])
-    check_no_simulation_on_both_sides(["a", "b", "a"], ["train", "test", "train"])
+        splits.check_no_simulation_on_both_sides(["a", "b", "a"], ["train", "test", "test"])
+    splits.check_no_simulation_on_both_sides(["a", "b", "a"], ["train", "test", "train"])
