@@ -34,8 +34,7 @@ def _pixels(data: bytes) -> bytes:
 
 
 def _film(path: Path) -> bytes:
-    film, digest = cv2.VideoCapture(str(path)), hashlib.sha256()
-    frames = 0
+    film, digest, frames = cv2.VideoCapture(str(path)), hashlib.sha256(), 0
     while (frame := film.read()[1]) is not None:
         digest.update(frame.tobytes())
         frames += 1
@@ -48,10 +47,8 @@ def _table(path: Path) -> bytes:
     notes = json.loads((table.schema.metadata or {}).get(b"slipstitch", b"{}"))
     if "image" in table.column_names:
         images = [_pixels(row["bytes"]) for row in table["image"].to_pylist()]
-        digests = [hashlib.sha256(image).digest() for image in images]
-        table = table.set_column(
-            table.column_names.index("image"), "image", pa.array(digests, pa.binary())
-        )
+        digests = pa.array([hashlib.sha256(image).digest() for image in images], pa.binary())
+        table = table.set_column(table.column_names.index("image"), "image", digests)
     sink = pa.BufferOutputStream()
     table = table.replace_schema_metadata(None).combine_chunks()
     with pa.ipc.new_stream(sink, table.schema) as stream:

@@ -35,7 +35,7 @@ class Forger:
         found = [
             path.relative_to(self.release).as_posix()
             for path in records
-            if path.relative_to(self.release / "records").match(f"{pattern}.record.json")
+            if path.match(f"{pattern}.record.json")
         ]
         for name in found:
             self.edit_json(name, edit)

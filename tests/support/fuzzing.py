@@ -60,6 +60,7 @@ from support import analytic_stage, synthetic_chain, synthetic_results
 from support.models import untrained_instrument
 
 Found = Iterator[tuple[str, Path, Callable[[], object]]]
+ROOT = Path(__file__).parents[2]
 TIME_LIMIT_S = 10.0
 MEMORY_LIMIT_BYTES = 2 * 2**30
 
@@ -93,18 +94,12 @@ def mutated(content: bytes, chance: random.Random) -> bytes:
         how = chance.randrange(7)
         if how == 0 and spoilt:
             spoilt[min(place, len(spoilt) - 1)] ^= 1 << chance.randrange(8)
-        elif how == 1:
-            del spoilt[place:end]
-        elif how == 2:
-            spoilt[place:place] = spoilt[place:end]
-        elif how == 3:
-            spoilt[place:end] = chance.choice(WORDS)
-        elif how == 4:
-            spoilt[place:place] = chance.choice(WORDS)
-        elif how == 5:
-            spoilt[place:end] = chance.randbytes(end - place)
+        elif how in (1, 6):
+            del spoilt[place : end if how == 1 else None]
+        elif how in (2, 4):
+            spoilt[place:place] = spoilt[place:end] if how == 2 else chance.choice(WORDS)
         else:
-            del spoilt[place:]
+            spoilt[place:end] = chance.choice(WORDS) if how == 3 else chance.randbytes(end - place)
     return bytes(spoilt) if chance.random() > 0.02 else chance.randbytes(chance.randrange(2000))
 
 
@@ -117,14 +112,12 @@ def structured(content: bytes, chance: random.Random) -> bytes | None:
     places = []
 
     def walk(value):
-        items = value.items() if isinstance(value, dict) else enumerate(value)
-        for key, item in items:
-            places.append((value, key))
-            if isinstance(item, dict | list) and len(places) < 5000:
+        if isinstance(value, dict | list) and len(places) < 5000:
+            for key, item in value.items() if isinstance(value, dict) else enumerate(value):
+                places.append((value, key))
                 walk(item)
 
-    if isinstance(data, dict | list):
-        walk(data)
+    walk(data)
     if not places:
         return None
     (holder, key), odd = chance.choice(places), chance.choice(ODD)
@@ -162,14 +155,12 @@ def readers(folder: Path) -> list[Reader]:
 
 
 def _configurations(folder: Path) -> Found:
-    path = folder / "config.yaml"
-    shutil.copy(Path(__file__).parents[2] / "config.yaml", path)
-    yield "configuration", path, lambda: load_config(path)
-    json_path = folder / "config.json"
+    path, json_path, model = (folder / f"config.{kind}" for kind in ("yaml", "json", "model.yaml"))
+    shutil.copy(ROOT / "config.yaml", path)
     json_path.write_text(load_config(path).model_dump_json())
+    yield "configuration", path, lambda: load_config(path)
     yield "configuration in JSON", json_path, lambda: load_config(json_path)
     yield "words", path, lambda: resolve_config(read_mapping(path), words=True)
-    model = folder / "model.yaml"
     law = {"coefficient": 0.4, "mechanisms": {"adhesion": {"adhesion": 0.8}}}
     bench = {"tilt_along_rad": 0.02, "mass_error": 0.1, "camera_scale": 1.02}
     content = {"causes": ["adhesion", "tilt"], "friction_law": {"face": law}, "bench": bench}
@@ -260,39 +251,34 @@ def _measuring(folder: Path) -> Found:
             read = partial(read_stage_video, film, lens, schedule, start_s=start_s)
             yield f"film of a stage ({suffix}, {name})", film, read
     yield from _instruments(folder / "instrument")
-    columns = "video,material,substrate,repeat,mu_ref,mu_ref_error,reflective,camera"
-    captures, reference = folder / "captures.csv", folder / "reference.csv"
+    captures, reference, angles = (
+        folder / f"{name}.csv" for name in ("captures", "reference", "angles")
+    )
     analytic_stage.camera_file(lens, folder / "bench.json")
     captures.write_text(
-        f"{columns}\nstage.mp4,denim,glass,1,0.31,0.02,no,bench.json\n"
+        "video,material,substrate,repeat,mu_ref,mu_ref_error,reflective,camera\n"
+        "stage.mp4,denim,glass,1,0.31,0.02,no,bench.json\n"
         "stage.mkv,denim,glass,2,0.31,0.02,no,bench.json\n"
     )
     reference.write_text("material,substrate,mu,error\ndenim,glass,0.31,0.02\n")
-    yield "captures", captures, lambda: read_captures(captures)
-    yield "captures with references", captures, lambda: read_captures(captures, reference)
-    yield "references", reference, lambda: read_references(reference)
-    angles = folder / "angles.csv"
     rows = [f"denim,glass,p{n},warp,{n},{17 + n / 3:.2f},0.2" for n in range(4)]
     title = "material,substrate,position,orientation,repeat,angle_deg,bench_error_deg"
     angles.write_text("\n".join([title, *rows]) + "\n")
-    yield "slip angles", angles, lambda: estimated(angles)
-
-
-def estimated(angles: Path) -> None:
-    for one in read_angles(angles):
-        estimate(one)
+    yield "captures", captures, lambda: read_captures(captures)
+    yield "captures with references", captures, lambda: read_captures(captures, reference)
+    yield "references", reference, lambda: read_references(reference)
+    yield "slip angles", angles, lambda: [estimate(one) for one in read_angles(angles)]
 
 
 def _instruments(folder: Path) -> Found:
     folder.mkdir()
-    instrument = untrained_instrument(frames=4, channels=[4, 4], features=8)
-    save_instrument(instrument, folder)
+    save_instrument(untrained_instrument(frames=4, channels=[4, 4], features=8), folder)
     for name in ("instrument.safetensors", "instrument.json"):
         yield f"instrument, {name}", folder / name, lambda: load_instrument(folder)
 
 
 def _cases(folder: Path) -> Found:
-    cases = Path(__file__).parents[2] / "data/cases"
+    cases = ROOT / "data/cases"
     for case in sorted(path for path in cases.iterdir() if path.is_dir()):
         copy = folder / case.name
         shutil.copytree(case, copy)
@@ -309,34 +295,28 @@ def _cases(folder: Path) -> Found:
 
 def _report(config, results: Path) -> Found:
     found = Results(results, config)
-    evaluate = results / "evaluate"
-    for name in ("metrics.json", "details.json"):
-        yield name, evaluate / name, partial(found.json, "evaluate", name)
-    yield "predictions", evaluate / "predictions.parquet", found.predictions
     history = sorted((results / "train").rglob("history.csv"))[0]
-    yield "training history", history, found.histories
     table = sorted((results / "benchmarks").rglob("*.tsv"))[0]
+    yield "predictions", results / "evaluate/predictions.parquet", found.predictions
+    yield "training history", history, found.histories
     yield "benchmark table", table, lambda: benchmarks(results)
     yield "manifest for the report", results / "sample/manifest.parquet", found.manifest
-    calibration = results / "calibrate/calibration.json"
-    read = partial(found.json, "calibrate", calibration.name)
-    yield "calibration for the report", calibration, read
+    for name in ("evaluate/metrics.json", "evaluate/details.json", "calibrate/calibration.json"):
+        yield f"{name} for the report", results / name, partial(found.json, name)
 
 
 def _status(results: Path) -> Found:
     folder = results / "status"
     folder.mkdir()
-    job = {
-        "id": 1, "rule": "simulate_one", "output": ["results/simulate/a.parquet"],
-        "benchmark": "results/benchmarks/a.tsv", "needed": True,
-    }  # fmt: skip
+    job = {"id": 1, "rule": "simulate_one", "output": ["results/simulate/a.parquet"]}
+    job |= {"benchmark": "results/benchmarks/a.tsv", "needed": True}
     (folder / "plan.json").write_text(json.dumps({"jobs": [job]}))
     events = [
         {"event": "run", "time": 1.0, "pid": 1, "born": 1, "boot": "x"},
         {"event": "started", "time": 2.0, "job": 1},
         {"event": "failed", "time": 3.0, "job": 1, "rule": "r", "output": ["a"], "log": ["b"]},
+        {"event": "end", "time": 4, "success": False, "own_cpu_s": 1, "jobs_cpu_s": 2},
     ]
-    events.append({"event": "end", "time": 4, "success": False, "own_cpu_s": 1, "jobs_cpu_s": 2})
     (folder / "journal.jsonl").write_text("".join(json.dumps(one) + "\n" for one in events))
     for name in ("plan.json", "journal.jsonl"):
         yield f"status, {name}", folder / name, lambda: status(results, 3)
@@ -345,11 +325,10 @@ def _status(results: Path) -> Found:
 def _release(config, folder: Path) -> Found:
     out = folder / "release"
     with contextlib.chdir(folder), contextlib.redirect_stderr(io.StringIO()):
-        write_release(config, "results", out, Path(__file__).parents[2])
-    for name in ("manifest.parquet", "SHA256SUMS", "release.json", "config.json"):
-        if (out / name).is_file():
-            yield f"audit, {name}", out / name, lambda: audit_release(out, jobs=1)
-    for path in (next((out / "data").glob("*.parquet")), next((out / "records").rglob("*.json"))):
+        write_release(config, "results", out, ROOT)
+    paths = [out / name for name in ("manifest.parquet", "SHA256SUMS", "records/release.json")]
+    paths += [next((out / "data").glob("*.parquet")), next((out / "records").rglob("*.json"))]
+    for path in paths:
         yield f"audit, {path.name}", path, lambda: audit_release(out, jobs=1)
 
 

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 
 import psutil
@@ -102,22 +103,24 @@ def kill(process: subprocess.Popen, victim: str) -> bool:
 
 def is_worker(process: psutil.Process) -> bool:
     with contextlib.suppress(psutil.NoSuchProcess):
-        words = process.cmdline()
-        return len(words) > 1 and (words[1].endswith("/slipstitch") or "slipstitch." in words[1])
+        words = process.cmdline()[1:2]
+        return any(word.endswith("/slipstitch") or "slipstitch." in word for word in words)
     return False
 
 
-def wait_for_start(run: Path, process: subprocess.Popen, events_before: int) -> bool:
-    """Wait until the journal says that a job has started; False if the process ended first."""
+def events(run: Path) -> list[str]:
+    """The lines of the journal."""
     journal = run / "results/status/journal.jsonl"
+    return journal.read_text().splitlines() if journal.exists() else []
+
+
+def wait_for_start(run: Path, process: subprocess.Popen, before: int) -> None:
+    """Wait until the journal says that a job has started, or the process has ended."""
     until = time.monotonic() + START_TIMEOUT_S
     while time.monotonic() < until:
-        if journal.exists():
-            lines = journal.read_text().splitlines()[events_before:]
-            if any('"started"' in line for line in lines):
-                return True
-        if process.poll() is not None:
-            return False
+        started = any('"started"' in line for line in events(run)[before:])
+        if started or process.poll() is not None:
+            return
         time.sleep(0.02)
     raise TimeoutError("snakemake started no job")
 
@@ -151,10 +154,9 @@ def kill_and_resume(
     remove_outputs(run, job)
     target = "release" if job["rule"] == "release_folder" else job["output"][0]
     words = workflow.snakemake_words("--quiet", "all", "--", target)
-    before = events(run)
+    before = len(events(run))
     process = start(workflow, words)
-    early = chance.random() < 0.1
-    if early:  # while Snakemake prepares
+    if chance.random() < 0.1:  # while Snakemake prepares
         after_s = -chance.uniform(0.0, 2.0)
         time.sleep(2.0 + after_s)
     else:
@@ -172,10 +174,8 @@ def kill_and_resume(
             problems.append(f"unlocking failed: {unlocking.stderr[-500:]}")
     elif locked:  # what the command does
         shutil.rmtree(run / ".snakemake/locks")
-    answer = subprocess.run(
-        words, cwd=run, env=workflow.environment(), capture_output=True, text=True,
-        start_new_session=True,
-    )  # fmt: skip
+    where = {"cwd": run, "env": workflow.environment(), "start_new_session": True}
+    answer = subprocess.run(words, **where, capture_output=True, text=True)
     if answer.returncode != 0:
         problems.append(f"resuming failed: {(answer.stdout + answer.stderr)[-2000:]}")
     wait_for_orphans(run)
@@ -187,36 +187,28 @@ def kill_and_resume(
 def start(workflow: Workflow, words: list[str]) -> subprocess.Popen:
     """Start a command that an interrupt stops, also where those of the tests are ignored."""
     silent = dict.fromkeys(("stdout", "stderr"), subprocess.DEVNULL)
-    where = {"cwd": workflow.folder, "env": workflow.environment()}
-    return subprocess.Popen(
-        words, **where, **silent, start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )  # fmt: skip
+    where = {"cwd": workflow.folder, "env": workflow.environment(), "start_new_session": True}
+    stopped = {"preexec_fn": lambda: signal.signal(signal.SIGINT, signal.SIG_DFL)}
+    return subprocess.Popen(words, **where, **silent, **stopped)
 
 
 def start_until_a_job_runs(workflow: Workflow, words: list[str]) -> subprocess.Popen:
     """Start Snakemake and wait for its first job's start."""
-    before = events(workflow.folder)
+    before = len(events(workflow.folder))
     process = start(workflow, words)
     wait_for_start(workflow.folder, process, before)
     return process
 
 
-def events(run: Path) -> int:
-    """How many lines the journal has."""
-    journal = run / "results/status/journal.jsonl"
-    return len(journal.read_text().splitlines()) if journal.exists() else 0
-
-
 def wait_for_orphans(run: Path, timeout_s: float = 120.0) -> None:
     """Wait for jobs whose Snakemake was killed: they work in the same folder."""
     until = time.monotonic() + timeout_s
-    while time.monotonic() < until:
-        mine = []
-        for process in psutil.process_iter():
-            with contextlib.suppress(psutil.Error, OSError):
-                if process.pid != os.getpid() and process.cwd() == str(run):
-                    mine.append(process)
-        if not any(one.status() != psutil.STATUS_ZOMBIE for one in mine if one.is_running()):
-            return
+    while time.monotonic() < until and any(map(partial(works_in, run), psutil.process_iter())):
         time.sleep(0.2)
+
+
+def works_in(run: Path, process: psutil.Process) -> bool:
+    with contextlib.suppress(psutil.Error, OSError):
+        other = process.pid != os.getpid() and process.cwd() == str(run)
+        return other and process.status() != psutil.STATUS_ZOMBIE
+    return False

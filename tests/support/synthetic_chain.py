@@ -19,18 +19,11 @@ from slipstitch.dataset.dataset import write_dataset
 from slipstitch.dataset.videos import decode
 from slipstitch.design.grid import Simulation, simulations, write_grid
 from slipstitch.design.stage_path import StagePath
+from slipstitch.images import verification
 from slipstitch.images.encoding import encode_png
 from slipstitch.images.image_shards import _description
 from slipstitch.images.packing import shade
 from slipstitch.images.surroundings import draw_surroundings
-from slipstitch.images.verification import (
-    LEAST_PSNR_DB,
-    VIEWS,
-    Comparison,
-    drawn_rows,
-    psnr_db,
-    ssim,
-)
 from slipstitch.images.view import View
 from slipstitch.physics.friction_law.extended_model import read_extended_model
 from slipstitch.physics.simulation.convergence import measured_convergence
@@ -42,22 +35,16 @@ from support import synthetic_cloth, synthetic_results, synthetic_videos
 def config(**sections) -> Config:
     """2 fabrics, 4 coefficients, 2 replicates, a test-only texture and viewpoint, 16 pixels."""
     render = {
-        "pixels": 16,
-        "viewpoints": ["calibrated", "side"],
-        "test_viewpoints": ["calibrated_+10"],
-        "textures": ["stripes", "tartan"],
-        "test_textures": ["chevron"],
+        "pixels": 16, "viewpoints": ["calibrated", "side"], "test_viewpoints": ["calibrated_+10"],
+        "textures": ["stripes", "tartan"], "test_textures": ["chevron"],
         "floors": ["matte", "ceramic", "stainless-steel"],
         "augmentation": {"lamp_m": 0.1, "exposure_stops": 0.5},
-    }
+    }  # fmt: skip
     grid = {"materials": ["gray-interlock", "ivory-rib-knit"], "frictions": [0.1, 0.3, 0.6, 1.0]}
     small = {
-        "grid": grid | {"replicates": 2},
-        "simulation": {"frames": 60, "vertices_per_side": 11},
-        "render": render,
-        "sample": {"frames": 5},
-        "release": {"shard_mb": 0.01},
-    }
+        "grid": grid | {"replicates": 2}, "simulation": {"frames": 60, "vertices_per_side": 11},
+        "render": render, "sample": {"frames": 5}, "release": {"shard_mb": 0.01},
+    }  # fmt: skip
     return synthetic_results.config(**small | sections)
 
 
@@ -140,7 +127,7 @@ def _write_verification(config: Config, results: Path, shards: list[Path]) -> No
     tables = {path: pq.read_table(path) for path in sorted(shards)}
     rows = [(path, k) for path, table in tables.items() for k in range(len(table))]
     comparisons, inputs = [], set()
-    for number in drawn_rows(config.seed, config.render.verified_images, len(rows)):
+    for number in verification.drawn_rows(config.seed, config.render.verified_images, len(rows)):
         path, k = rows[number]
         row = tables[path].slice(k, 1).to_pylist()[0]
         floor = draw_surroundings(config.render, config.seed, row["simulation"], row["viewpoint"])
@@ -149,14 +136,12 @@ def _write_verification(config: Config, results: Path, shards: list[Path]) -> No
         direct = np.clip(composed + noise, 0, 255).astype(np.uint8)
         video = f"{row['simulation']}_{row['texture']}_{row['viewpoint']}"
         pictures = [base64.b64encode(encode_png(one)).decode() for one in (composed, direct)]
-        comparisons.append(
-            Comparison(
-                video, row["frame"], floor.floor, psnr_db(composed, direct),
-                ssim(composed, direct), LEAST_PSNR_DB[floor.reflects], True, *pictures,
-            )
-        )  # fmt: skip
+        near = verification.psnr_db(composed, direct), verification.ssim(composed, direct)
+        least_db = verification.LEAST_PSNR_DB[floor.reflects]
+        of_image = video, row["frame"], floor.floor, *near, least_db, True, *pictures
+        comparisons.append(verification.Comparison(*of_image))
         inputs.update([path, results / f"simulate/{row['simulation']}.parquet"])
     content = {"comparisons": [asdict(one) | {"passed": one.passed} for one in comparisons]}
-    settings = {"render": config.render.model_dump(mode="json", exclude=VIEWS)}
+    settings = {"render": config.render.model_dump(mode="json", exclude=verification.VIEWS)}
     record = provenance_record("render", inputs=inputs, config=settings, seed=config.seed)
     write_json(results / "render/verification.json", content, record)

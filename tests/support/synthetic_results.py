@@ -22,18 +22,10 @@ from slipstitch.dataset.dataset import write_dataset
 from slipstitch.design.grid import simulations
 from slipstitch.film.captures_scores import capture_metrics
 from slipstitch.learning.evaluation.scores import SCHEMA, details_of_table, metrics_of_table
-from slipstitch.physics.calibration.calibration import (
-    calibrate,
-    strip_calibration,
-    write_calibration,
-)
+from slipstitch.physics.calibration import calibration
 from slipstitch.physics.calibration.sweep import sweep
+from slipstitch.physics.experiments import strip
 from slipstitch.physics.experiments.plane import incline_theory
-from slipstitch.physics.experiments.strip import (
-    strip_slip_strain,
-    strip_state,
-    strip_state_at_foot_angle,
-)
 from slipstitch.physics.experiments.strip_drag import steady_strip_drag
 from slipstitch.physics.simulation.trajectory import Trajectory, write_trajectory
 from support import synthetic_cloth, synthetic_videos
@@ -55,9 +47,9 @@ def config(**sections) -> Config:
 @cache
 def strip_answer(friction, strain_error=1e-3, newton_iterations=1000):
     """A pushed strip as theory has it, its slip strain a little off."""
-    slips_at = strip_slip_strain(friction)
-    flat = strip_state_at_foot_angle(math.pi / 2)
-    state = flat if slips_at is None else strip_state(slips_at)
+    slips_at = strip.strip_slip_strain(friction)
+    flat = strip.strip_state_at_foot_angle(math.pi / 2)
+    state = flat if slips_at is None else strip.strip_state(slips_at)
     return {
         "slip_strain": None if slips_at is None else slips_at + strain_error,
         "flat_strain": flat.strain if slips_at is None else None,
@@ -75,18 +67,13 @@ def protocol_answer(name, options, settings):
     if name == "strip":
         return strip_answer(friction)
     if name == "incline":
-        acceleration_m_s2 = incline_theory(friction, math.radians(options["slope_deg"]))
-        return {
-            "sticks": not acceleration_m_s2,
-            "creep_m": 2e-7,
-            "acceleration_m_s2": acceleration_m_s2 * 1.0002,
-            "theory_acceleration_m_s2": acceleration_m_s2,
-        }
+        acceleration = incline_theory(friction, math.radians(options["slope_deg"]))
+        found = {"acceleration_m_s2": acceleration * 1.0002, "sticks": not acceleration}
+        return found | {"theory_acceleration_m_s2": acceleration, "creep_m": 2e-7}
     if name == "flat-drag":
         return {"pull_over_weight": 1.001 * friction, "theory_pull_over_weight": friction}
-    drag = steady_strip_drag(
-        friction, 0.2, 0.15, options["gravity_length_m"], holder_angle_rad=None
-    )
+    length_m = options["gravity_length_m"]
+    drag = steady_strip_drag(friction, 0.2, 0.15, length_m, holder_angle_rad=None)
     keys = ("pull_over_w_m", "floor_load_over_w_m", "flat_tail_m", "holder_ahead_of_tail_m")
     found = {f"theory_{key}": getattr(drag, key) for key in keys}
     return found | {key: 1.004 * getattr(drag, key) for key in keys}
@@ -96,31 +83,30 @@ def write_calibrate(config: Config, folder: Path) -> None:
     """calibrate/calibration.json and pictures."""
     path = folder / "calibrate" / "calibration.json"
     path.parent.mkdir(parents=True)
-    result = calibrate(config.simulation, protocol_answer)
+    result = calibration.calibrate(config.simulation, protocol_answer)
     both = config.calibrate, config.simulation
     trials = [trial for key in (BASE, *KEYS) for trial in sweep(key, *both, protocol_answer)]
-    result["strip"] = strip_calibration(trials)
+    result["strip"] = calibration.strip_calibration(trials)
     sections = {"simulation": config.simulation, "calibrate": config.calibrate}
     record = provenance_record("calibrate.calibration", config=sections)
-    write_calibration(result, path, record)
+    calibration.write_calibration(result, path, record)
     for name in ("calibration", "strip", "settings"):
         Image.new("RGB", (60, 40), "white").save(path.with_name(f"{name}.png"))
 
 
 def write_simulate(config: Config, folder: Path, residuals: dict[str, float] | None = None) -> None:
     """simulate/*.parquet, drawn; `residuals`: other ones than usual, by simulation."""
-    (folder / "simulate").mkdir(parents=True)
+    metadata = {"settings": config.simulation.model_dump(mode="json")}
     for one in simulations(config):
         motion = synthetic_cloth.motion(config.simulation.frames, n=11)
         jitter = 1.0 + 0.03 * np.random.default_rng(one.seed).normal()
-        ahead = motion["positions_m"][:, :, 0] - motion["stage_x_m"][:, None]
-        motion["positions_m"][:, :, 0] = motion["stage_x_m"][:, None] + ahead * jitter * (
-            0.4 + 0.6 * math.sqrt(one.friction)
-        )
+        scale = jitter * (0.4 + 0.6 * math.sqrt(one.friction))
+        x_m, stage_x_m = motion["positions_m"][:, :, 0], motion["stage_x_m"][:, None]
+        x_m[:] = stage_x_m + (x_m - stage_x_m) * scale
         count = len(motion["frame"])
         write_trajectory(
             folder / "simulate" / f"{one.id}.parquet",
-            Trajectory(**motion, metadata={"settings": config.simulation.model_dump(mode="json")}),
+            Trajectory(**motion, metadata=metadata),
             provenance_record("simulate", seed=one.seed),
             newton_iterations=np.full(count, 9, np.int32),
             residual=np.full(count, (residuals or {}).get(one.id, 4e-4)),
@@ -138,29 +124,30 @@ def write_render_and_sample(config: Config, folder: Path) -> None:
     write_dataset(config, shards, folder / "sample")
 
 
+NETWORKS = ("material_baseline", "friction_baseline", "friction_conditional")
+
+
 def write_train(folder: Path) -> None:
     """train/*/*/seed0/history.csv, invented."""
-    for split in ("by_video", "by_simulation"):
-        for network in ("material_baseline", "friction_baseline", "friction_conditional"):
-            path = folder / "train" / split / network / "seed0" / "history.csv"
-            path.parent.mkdir(parents=True)
-            epoch = np.arange(1, 19)
-            late = 0.5 if split == "by_simulation" else 0.2
-            curve = {
-                "epoch": epoch,
-                "stage": np.repeat(["cycle 1", "cycle 2", "fine-tuning"], 6),
-                "train_loss": math.log(3) * np.exp(-epoch / 6),
-                "validation_loss": late + np.exp(-epoch / 5),
-                "chance_loss": math.log(3),
-            }
-            pd.DataFrame(curve).to_csv(path, index=False)
+    for split, network in product(("by_video", "by_simulation"), NETWORKS):
+        path = folder / "train" / split / network / "seed0" / "history.csv"
+        path.parent.mkdir(parents=True)
+        epoch = np.arange(1, 19)
+        late = 0.5 if split == "by_simulation" else 0.2
+        curve = {
+            "epoch": epoch,
+            "stage": np.repeat(["cycle 1", "cycle 2", "fine-tuning"], 6),
+            "train_loss": math.log(3) * np.exp(-epoch / 6),
+            "validation_loss": late + np.exp(-epoch / 5),
+            "chance_loss": math.log(3),
+        }
+        pd.DataFrame(curve).to_csv(path, index=False)
 
 
 #: Of 36 test videos, those that the baseline gets right: the conditional network gets one more.
 RIGHT = {"by_video": 32, "by_simulation": 22, "unseen_texture": 29}
 # The seeds' own numbers lie around it, so that three of them have a standard deviation of 2 / 36.
 _OFF_BY_SEED = (0, 2, -2)
-NETWORKS = ("material_baseline", "friction_baseline", "friction_conditional")
 
 
 def write_evaluate(config: Config, folder: Path, right=RIGHT, seeds=(0,)) -> None:
@@ -178,25 +165,16 @@ def write_evaluate(config: Config, folder: Path, right=RIGHT, seeds=(0,)) -> Non
             predicted = true.copy()
             predicted[last[told:]] = (true[last[told:]] + 1) % 3
             for k, (one, other) in enumerate(zip(true, predicted, strict=True)):
+                fabrics = ["denim", "felt"] if network == NETWORKS[0] else []
                 row = {
-                    "video": f"v{k}",
-                    "simulation": f"s{k // 6}",
-                    "viewpoint": "side" if k % 3 else "calibrated",
-                    "split": split,
+                    "video": f"v{k}", "simulation": f"s{k // 6}", "split": split, "seed": seed,
+                    "viewpoint": "side" if k % 3 else "calibrated", "network": network,
                     "trained_on": split if split in ("by_video", "by_simulation") else "by_video",
-                    "network": network,
-                    "seed": seed,
-                    "true": classes[one]["id"],
-                    "predicted": classes[other]["id"],
-                    "true_value": classes[one]["value"],
-                    "predicted_value": classes[other]["value"],
-                    "probabilities": np.eye(3)[other].tolist(),
-                    "material": "denim",
-                    "fabrics": [],
-                }
-                if network == NETWORKS[0]:
-                    fabrics = ["denim", "felt"]
-                    row |= {"fabrics": fabrics if one == other else fabrics[::-1]}
+                    "true": classes[one]["id"], "predicted": classes[other]["id"],
+                    "true_value": classes[one]["value"], "predicted_value": classes[other]["value"],
+                    "probabilities": np.eye(3)[other].tolist(), "material": "denim",
+                    "fabrics": fabrics if one == other else fabrics[::-1],
+                }  # fmt: skip
                 rows.append(dict.fromkeys(SCHEMA.names) | row)
     of_networks = {network: {"classes": classes} for network in NETWORKS}
     details = details_of_table(rows, dict.fromkeys(right, of_networks), {})
@@ -274,17 +252,27 @@ def write_audit(folder: Path, verdict: str = "intact") -> None:
 
 def write_benchmarks(config: Config, folder: Path) -> None:
     """benchmarks/*/*.tsv as Snakemake lays them out, and logs; invented."""
-    columns = ["s", "h:m:s", "max_rss", "max_vms", "max_uss", "max_pss", "io_in", "io_out"]
-    columns += ["mean_load", "cpu_time"]
-    jobs = {"calibrate": ["calibration"], "simulate": [one.id for one in simulations(config)]}
-    jobs |= {"render": [f"{one.id}_v00" for one in simulations(config)], "sample": ["sample"]}
-    jobs |= {"train": ["a", "b", "c"], "evaluate": ["evaluate"]}
+    columns = [
+        "s",
+        "h:m:s",
+        "max_rss",
+        "max_vms",
+        "max_uss",
+        "max_pss",
+        "io_in",
+        "io_out",
+        "mean_load",
+        "cpu_time",
+    ]
+    names = [one.id for one in simulations(config)]
+    jobs = {"calibrate": ["calibration"], "simulate": names, "render": [f"{n}_v00" for n in names]}
+    jobs |= {"sample": ["sample"], "train": ["a", "b", "c"], "evaluate": ["evaluate"]}
     for position, (stage, names) in enumerate(jobs.items()):
-        row = [20.0 + 9 * position, "0:00:20", 400.0 + 90 * position, 0, 0, 0, 0, 0, 95.0]
-        row.append(18.5 + 9 * position)
+        times = 9 * position
+        row = [20.0 + times, "0:00:20", 400.0 + 90 * position, 0, 0, 0, 0, 0, 95.0, 18.5 + times]
         for name in names:
             table = "\n".join("\t".join(map(str, line)) for line in (columns, row))
-            log = f"{name}: written\nCPU time: {19.5 + 9 * position:.2f} s\n"
+            log = f"{name}: written\nCPU time: {19.5 + times:.2f} s\n"
             write_text(folder / "benchmarks" / stage / f"{name}.tsv", table + "\n")
             write_text(folder / "logs" / stage / f"{name}.log", log)
 

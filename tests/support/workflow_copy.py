@@ -13,15 +13,8 @@ from slipstitch.base.provenance import code
 
 ROOT = Path(__file__).parents[2]
 PARTS = (
-    "Snakefile",
-    "config.yaml",
-    "config",
-    "profiles",
-    "rules",
-    "src",
-    "data/cases",
-    "LICENSE",
-    "CITATION.cff",
+    *("Snakefile", "config.yaml", "config", "profiles", "rules", "src", "data/cases"),
+    *("LICENSE", "CITATION.cff"),
 )
 
 
@@ -82,24 +75,18 @@ class Workflow:
             return
         self.folder.mkdir(parents=True)
         self.project.mkdir()
+        ignore = shutil.ignore_patterns("__pycache__", "*.egg-info")
         for part in PARTS:
             source, target = ROOT / part, self.project / part
             if source.is_dir():
-                shutil.copytree(
-                    source, target, ignore=shutil.ignore_patterns("__pycache__", "*.egg-info")
-                )
+                shutil.copytree(source, target, ignore=ignore)
             else:
                 shutil.copy2(source, target)
 
     def run(self, program: str, *words: str) -> subprocess.CompletedProcess:
         """Run a program of the virtual environment in the run folder, on the copied sources."""
-        return subprocess.run(
-            [program, *words],
-            cwd=self.folder,
-            env=self.environment(),
-            capture_output=True,
-            text=True,
-        )
+        where = {"cwd": self.folder, "env": self.environment()}
+        return subprocess.run([program, *words], **where, capture_output=True, text=True)
 
     def environment(self) -> dict[str, str]:
         """Environment variables of a program that is to see the copied sources."""
@@ -122,7 +109,7 @@ class Workflow:
         from snakemake.cli import main
 
         _, *arguments = self.snakemake_words(*words, scale=scale)
-        out, err = io.StringIO(), io.StringIO()
+        out, err, status = io.StringIO(), io.StringIO(), 0
         kept = dict(os.environ)
         with (
             contextlib.chdir(self.folder),
@@ -132,7 +119,6 @@ class Workflow:
         ):
             try:
                 main(arguments)
-                status = 0
             except SystemExit as end:
                 status = int(end.code or 0)
             finally:
@@ -159,11 +145,8 @@ class Workflow:
         assert answer.returncode == 0, answer.stderr
         head, *lines = (line.split("\t") for line in answer.stdout.splitlines() if "\t" in line)
         rows = [dict(zip(head, line, strict=True)) for line in lines]
-        return {
-            row["output_file"].removeprefix("results/")
-            for row in rows
-            if row["plan"] != "no update"
-        }
+        made = [row["output_file"] for row in rows if row["plan"] != "no update"]
+        return {file.removeprefix("results/") for file in made}
 
     def edited(self, file: str, text: str = "\nEDITED = True\n"):
         """The copied source `file` with `text` appended, for the time of the block."""

@@ -2,6 +2,7 @@
 
 import shutil
 
+import numpy as np
 import pytest
 from support.stage_commands import ONE, PACKS, SHARDS, SWEEP, TRAJECTORY, words_of
 
@@ -12,38 +13,32 @@ pytestmark = pytest.mark.slow
 MODEL = "results/train/by_simulation/friction_baseline/seed0"
 
 
-def truncated(content: bytes) -> bytes:
-    return content[: len(content) * 2 // 3]
-
-
 def flipped(content: bytes) -> bytes:
     """A bit of every hundredth byte: a single one may lie where nothing depends on it."""
-    spoilt = bytearray(content)
-    for place in range(50, len(spoilt), 100):
-        spoilt[place] ^= 0x10
-    return bytes(spoilt)
+    spoilt = np.frombuffer(content, np.uint8).copy()
+    spoilt[50::100] ^= 0x10
+    return spoilt.tobytes()
 
 
-def emptied(content: bytes) -> bytes:
-    return b""
-
-
-# What is damaged, and the stage that reads it.
-DAMAGED = {
-    SWEEP: ["calibrate"],
-    "results/calibrate/calibration.json": ["simulate"],
-    TRAJECTORY: ["shade", "release"],
-    PACKS[0]: ["compose"],
-    SHARDS[0]: ["preview", "verify"],
-    SHARDS[1]: ["sample"],
-    "results/sample/m00_f0600_r00.parquet": ["train"],  # which trains
-    "results/sample/manifest.parquet": ["train"],
-    f"results/sample/{ONE}.parquet": ["release"],
-    f"{MODEL}/model.safetensors": ["evaluate"],
-    f"{MODEL}/model.json": ["evaluate"],
-    "results/evaluate/metrics.json": ["report"],
-    "results/evaluate/predictions.parquet": ["report"],
+DAMAGES = {
+    "truncated": lambda content: content[: len(content) * 2 // 3],
+    "flipped": flipped,
+    "emptied": lambda content: b"",
 }
+# What is damaged, and the stage that reads it.
+DAMAGED = [
+    (SWEEP, "calibrate"),
+    ("results/calibrate/calibration.json", "simulate"),
+    *((TRAJECTORY, stage) for stage in ("shade", "release")),
+    (PACKS[0], "compose"),
+    *((SHARDS[0], stage) for stage in ("preview", "verify")),
+    (SHARDS[1], "sample"),
+    ("results/sample/m00_f0600_r00.parquet", "train"),  # which trains
+    ("results/sample/manifest.parquet", "train"),
+    (f"results/sample/{ONE}.parquet", "release"),
+    *((f"{MODEL}/model.{kind}", "evaluate") for kind in ("safetensors", "json")),
+    *((f"results/evaluate/{name}", "report") for name in ("metrics.json", "predictions.parquet")),
+]
 
 
 @pytest.fixture(scope="module")
@@ -55,17 +50,15 @@ def run(chain, tmp_path_factory):
     return folder
 
 
-@pytest.mark.parametrize(
-    ("name", "stage"), [(name, stage) for name, stages in DAMAGED.items() for stage in stages]
-)
-@pytest.mark.parametrize("damage", [truncated, flipped, emptied])
+@pytest.mark.parametrize(("name", "stage"), DAMAGED)
+@pytest.mark.parametrize("damage", DAMAGES)
 def test_the_damaged_file_is_named_with_the_command_that_makes_it_anew(
     run, name, stage, damage, tmp_path, monkeypatch, capsys
 ):
     monkeypatch.chdir(run)
     path = run / name
     whole = path.read_bytes()
-    path.write_bytes(damage(whole))
+    path.write_bytes(DAMAGES[damage](whole))
     try:
         status = main(words_of(stage, run, tmp_path))
     finally:

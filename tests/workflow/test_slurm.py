@@ -92,15 +92,14 @@ def slurm(tmp_path_factory):
     (munge / "key").chmod(0o400)
     CONFIGURATION.parent.mkdir(exist_ok=True)
     CONFIGURATION.write_text(configuration(folder, host))
+    files = [f"--{name}-file={munge}/{name}" for name in ("key", "pid", "log", "seed")]
     daemons = []
     try:
         for words in (
-            ["munged", "--foreground", "--force", f"--key-file={munge}/key",
-             f"--socket={munge}/socket", f"--pid-file={munge}/pid",
-             f"--log-file={munge}/log", f"--seed-file={munge}/seed"],
+            ["munged", "--foreground", "--force", f"--socket={munge}/socket", *files],
             ["slurmctld", "-D"],
             ["slurmd", "-D", "-N", host],
-        ):  # fmt: skip
+        ):
             with open(folder / f"{words[0]}.out", "wb") as log:
                 daemons.append(subprocess.Popen(words, stdout=log, stderr=log))
             time.sleep(1.0)
@@ -114,8 +113,7 @@ def slurm(tmp_path_factory):
 
 
 def wait_until_idle(folder: Path) -> None:
-    until = time.monotonic() + START_TIMEOUT_S
-    while time.monotonic() < until:
+    for _ in range(START_TIMEOUT_S):
         answer = subprocess.run(["sinfo", "-h", "-o", "%T"], capture_output=True, text=True)
         if answer.stdout.strip() == "idle":
             return
@@ -137,12 +135,14 @@ def through_slurm(workflow: Workflow, *words: str):
 
 # Rule -> the kind of its jobs in the cost model, where the rule's first word does not say it.
 KIND = {
-    "grid": "sample",
-    "render_shading": "render",
-    "render_images": "compose",
-    "render_verification": "verify",
-    "preview_one": "preview",
-}
+    "grid": "sample", "render_shading": "render", "render_images": "compose",
+    "render_verification": "verify", "preview_one": "preview",
+}  # fmt: skip
+
+
+def jobs(workflow: Workflow) -> list[dict]:
+    """The jobs of the plan of the last run."""
+    return json.loads((workflow.folder / "results/status/plan.json").read_text())["jobs"]
 
 
 @pytest.fixture(scope="module")
@@ -158,16 +158,13 @@ def cluster(slurm, tmp_path_factory):
 
 
 def test_the_results_are_those_of_a_local_run_bit_by_bit(cluster, chain):
-    there = equal_results.digests(cluster.folder / "results")
-    here = equal_results.digests(chain.folder / "results")
-    assert len(here) > 60
-    assert there == here
+    there, here = (equal_results.digests(one.folder / "results") for one in (cluster, chain))
+    assert len(here) > 60 and there == here
 
 
 def test_a_simulation_with_its_images_is_one_submission_of_one_core(cluster):
     submitted = cluster.said.count("has been submitted with SLURM jobid")
-    plan = json.loads((cluster.folder / "results/status/plan.json").read_text())["jobs"]
-    rules = Counter(job["rule"] for job in plan)
+    rules = Counter(job["rule"] for job in jobs(cluster))
     grouped = ("simulate_one", "render_shading", "render_images", "preview_one")
     alone = sum(count for rule, count in rules.items() if rule not in (*grouped, "grid"))
     assert submitted == alone + rules["simulate_one"]
@@ -175,17 +172,15 @@ def test_a_simulation_with_its_images_is_one_submission_of_one_core(cluster):
 
 def test_status_knows_the_jobs_that_went_through_slurm(cluster):
     answer = cluster.run("slipstitch", "status")
-    assert answer.returncode == 0
-    assert "finished after" in answer.stdout
+    assert answer.returncode == 0 and "finished after" in answer.stdout
     assert re.search(r"^total +(\d+)/\1 ", answer.stdout, re.M), answer.stdout
 
 
 def test_memory_and_time_that_are_asked_for_hold_what_the_jobs_took(cluster):
     """No job took more than is declared, nor so little that the declaration were a guess."""
     config = load_config(cluster.folder / "results/config.json")
-    plan = json.loads((cluster.folder / "results/status/plan.json").read_text())["jobs"]
     largest: dict[str, float] = {}
-    for job in plan:
+    for job in jobs(cluster):
         done = job["benchmark"] and read_benchmark(cluster.folder / job["benchmark"])
         if done and not math.isnan(done.memory_mib):
             kind = KIND.get(job["rule"], job["rule"].partition("_")[0])

@@ -72,10 +72,8 @@ def test_it_says_what_is_missing_and_lays_the_workflow_out_on_the_standard_libra
         there = environment.folder / "here" / file
         assert there.read_bytes() == (ROOT / file).read_bytes(), file
     again = environment.run("slipstitch", "init", "here")
-    assert again.returncode == 2
-    assert again.stderr == (
-        "slipstitch init: error: here/Snakefile: already exists; nothing is overwritten\n"
-    )
+    problem = "error: here/Snakefile: already exists; nothing is overwritten"
+    assert (again.returncode, again.stderr) == (2, f"slipstitch init: {problem}\n")
 
 
 def test_the_whole_chain_is_planned_from_there(environment):
@@ -88,9 +86,8 @@ def test_the_whole_chain_is_planned_from_there(environment):
     assert answer.returncode == 0, answer.stdout + answer.stderr
     config = load_config(ROOT / "config.yaml", ROOT / "config/smoke.yaml")
     assert estimate_line(config) in answer.stderr
-    answer = environment.run(
-        "snakemake", "--cores", "1", "results/grid.parquet", *smoke, folder="here"
-    )
+    words = ("snakemake", "--cores", "1", "results/grid.parquet", *smoke)
+    answer = environment.run(*words, folder="here")
     assert answer.returncode == 0, answer.stderr
 
 
