@@ -34,7 +34,7 @@ from slipstitch.design.grid import simulations, textures, viewpoints
 PIXELS = 112
 FRAMES = 30
 VIEWS, TEXTURES = 3, 8
-PLANTED = ("one bit", "one pixel", "two shards swapped", "a shard dropped", "a file more")
+PLANTED = ("one bit", "one pixel", "two shards swapped", "a shard dropped", "a shard more")
 
 
 def release_config(size_gb: float, image_bytes: float):
@@ -122,7 +122,7 @@ def change_pixel(path: Path, row: int) -> None:
 
 def plant(release: Path, name: str, shards: list[Path]):
     """Plant an alteration; return how to undo it and the kind and place that must be found."""
-    first, second = shards[0], shards[-1]
+    first, second, strange = shards[0], shards[-1], "data/strange.parquet"
     aside = release.parent / "aside"
     aside.mkdir(exist_ok=True)
 
@@ -130,7 +130,7 @@ def plant(release: Path, name: str, shards: list[Path]):
         for path in (first, second):
             if (aside / path.name).exists():
                 shutil.copyfile(aside / path.name, path)
-        (release / "strange.txt").unlink(missing_ok=True)
+        (release / strange).unlink(missing_ok=True)
         shutil.rmtree(aside)
 
     for path in (first, second):
@@ -151,8 +151,8 @@ def plant(release: Path, name: str, shards: list[Path]):
     if name == "a shard dropped":
         first.unlink()
         return put_back, Kind.MISSING, place
-    (release / "strange.txt").write_text("?")
-    return put_back, Kind.UNEXPLAINED, "strange.txt"
+    shutil.copyfile(first, release / strange)
+    return put_back, Kind.UNEXPLAINED, strange
 
 
 def main() -> None:
@@ -185,13 +185,7 @@ def main() -> None:
         for path in release.rglob("*"):
             path.chmod(path.stat().st_mode | 0o200)
         shards = sorted((release / "data").iterdir())
-        for name in (
-            "one bit",
-            "one pixel",
-            "two shards swapped",
-            "a shard dropped",
-            "a file more",
-        ):
+        for name in PLANTED:
             put_back, kind, place = plant(release, name, shards)
             audit, wall, cpu = audited(release, arguments.jobs)
             found = any(one.kind is kind and one.where == place for one in audit.findings)
