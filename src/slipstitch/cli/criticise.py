@@ -43,7 +43,7 @@ def criticise(arguments: options.Arguments) -> int:
     """
     from slipstitch.base.progress import note
     from slipstitch.criticise.case import read_case
-    from slipstitch.criticise.criticism_files import Paths, criticise_to_files
+    from slipstitch.criticise.criticism_files import criticise_to_files
 
     chance = arguments.seed, arguments.replicates
     if arguments.power:
@@ -58,13 +58,13 @@ def criticise(arguments: options.Arguments) -> int:
     note(*case.notes)
     for name in case.ignored_files:
         note(f"{Path(arguments.case) / name}: not a table of any protocol, ignored")
-    paths = Paths(
-        arguments.out,
-        page=arguments.report,
-        picture=arguments.picture,
-        model=arguments.model,
-        resimulation=arguments.resimulate,
-    )
+    paths = {
+        "verdict": arguments.out,
+        "page": arguments.report,
+        "picture": arguments.picture,
+        "model": arguments.model,
+        "resimulation": arguments.resimulate,
+    }
     print(criticise_to_files(case, *chance, paths, arguments.campaigns))
     if arguments.validate:
         _validate(arguments.out, Path(arguments.validate))

@@ -12,7 +12,7 @@ what is clearly wrong is a finding about the data, neither a cause nor a reason 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 
 from slipstitch.physics.friction_law import CONTACT_MECHANISMS, Mechanism, Parameter
@@ -156,6 +156,21 @@ _ENTRIES = (
 )
 BENCH_MECHANISMS: Mapping[str, BenchMechanism] = {m.identifier: m for m in _ENTRIES}
 MECHANISMS: Mapping[str, Mechanism] = {**CONTACT_MECHANISMS, **BENCH_MECHANISMS}
+
+
+def departures(
+    causes: Iterable[str], values: Mapping[str, float]
+) -> tuple[dict[str, dict[str, float]], dict[str, float]]:
+    """Mechanisms of the friction law, and fields of :class:`Bench`, at values of parameters."""
+    mechanisms: dict[str, dict[str, float]] = {}
+    changes: dict[str, float] = {}
+    for cause in causes:
+        own = {p.name: values[p.name] for p in MECHANISMS[cause].parameters}
+        if cause in CONTACT_MECHANISMS:
+            mechanisms[cause] = own
+        else:
+            changes |= BENCH_MECHANISMS[cause].changes(own)
+    return mechanisms, changes
 
 
 @dataclass(frozen=True)

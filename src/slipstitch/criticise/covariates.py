@@ -12,6 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
+from slipstitch.criticise.inference.structure import Test
+
 FEWEST_RUNS = 4
 MOST_PARTS, MOST_CYCLES = 16, 20.0
 # A session is cut between so many stretches of equally many runs, in case it changed for good
@@ -93,20 +95,6 @@ _ENTRIES = (
 COVARIATES: Mapping[str, Covariate] = {covariate.name: covariate for covariate in _ENTRIES}
 
 
-@dataclass(frozen=True)
-class Shape:
-    """Columns (n, k) that friction may follow along a covariate, and their form in words.
-
-    ``scanned`` and ``spanned`` are those of :class:`slipstitch.criticise.inference.structure.Test`.
-    """
-
-    covariate: str
-    form: str
-    columns: np.ndarray
-    scanned: bool = False
-    spanned: bool = False
-
-
 def load_before(rows: pd.DataFrame) -> np.ndarray:
     """Load of the protocol's run before over a feature's own, NaN where no load is varied.
 
@@ -123,12 +111,16 @@ def load_before(rows: pd.DataFrame) -> np.ndarray:
     return found
 
 
+def _shape(covariate: Covariate, form: str, columns: np.ndarray, **kind: bool) -> Test:
+    return Test(columns, covariate=covariate.name, shape=form, **kind)
+
+
 def _levels(values: np.ndarray) -> np.ndarray:
     return np.unique(np.round(values[np.isfinite(values)], 6))
 
 
-def generic_shapes(rows: pd.DataFrame, usable: np.ndarray) -> list[Shape]:
-    """The bank of shapes that a case's covariates allow.
+def generic_shapes(rows: pd.DataFrame, usable: np.ndarray) -> list[Test]:
+    """The bank of shapes (factors on friction) that a case's covariates allow.
 
     Parameters
     ----------
@@ -143,7 +135,7 @@ def generic_shapes(rows: pd.DataFrame, usable: np.ndarray) -> list[Shape]:
     return shapes
 
 
-def _steps(rows, covariate: Covariate, usable) -> list[Shape]:
+def _steps(rows, covariate: Covariate, usable) -> list[Test]:
     if not covariate.text:
         return []
     labels = rows[covariate.name]
@@ -151,10 +143,10 @@ def _steps(rows, covariate: Covariate, usable) -> list[Shape]:
     if not 1 < len(names) <= 6:
         return []
     columns = np.column_stack([(labels == name).to_numpy(float) for name in names[1:]])
-    return [Shape(covariate.name, f"a step between {covariate.title}s", columns)]
+    return [_shape(covariate, f"a step between {covariate.title}s", columns)]
 
 
-def _along(rows, covariate: Covariate, usable) -> list[Shape]:
+def _along(rows, covariate: Covariate, usable) -> list[Test]:
     if "trends" not in covariate.sought:
         return []
     name = covariate.name
@@ -167,14 +159,14 @@ def _along(rows, covariate: Covariate, usable) -> list[Shape]:
     low, high = np.quantile(values[known & usable], [0.0, 1.0])
     z = np.where(known, (values - low) / max(high - low, 1e-12), 0.5)
     centred = np.where(known, z - 0.5, 0.0)
-    shapes = [Shape(name, "a trend", centred[:, None])]
+    shapes = [_shape(covariate, "a trend", centred[:, None])]
     if len(levels) >= 4:
         bow = np.where(known, (2 * z - 1) ** 2, 0.0)
-        shapes.append(Shape(name, "a bow", bow[:, None]))
+        shapes.append(_shape(covariate, "a bow", bow[:, None]))
         if len(levels) >= 5:
             cubic = np.where(known, (2 * z - 1) ** 3, 0.0)
             both = np.column_stack([centred, bow, cubic])
-            shapes.append(Shape(name, "an S-shaped curve", both, spanned=True))
+            shapes.append(_shape(covariate, "an S-shaped curve", both, spanned=True))
         if "bumps" in covariate.sought:
             for width in (0.09, 0.18):
                 for centre in np.linspace(0, 1, 11 if width < 0.1 else 7):
@@ -183,7 +175,7 @@ def _along(rows, covariate: Covariate, usable) -> list[Shape]:
                     if len(set(runs[usable & (bump > 0.5)])) >= FEWEST_RUNS:
                         at = low + centre * (high - low)
                         form = f"a bump at {covariate.plain(at)}"
-                        shapes.append(Shape(name, form, bump[:, None], scanned=True))
+                        shapes.append(_shape(covariate, form, bump[:, None], scanned=True))
         if "patches" in covariate.sought:
             shapes += _patches(covariate, z, known, usable, runs, low, high)
         if "changes" in covariate.sought:
@@ -191,11 +183,11 @@ def _along(rows, covariate: Covariate, usable) -> list[Shape]:
     elif len(levels) == 3:
         step = np.where(known, values == levels[1], 0.0).astype(float)
         form = f"a bump at {covariate.plain(levels[1])}"
-        shapes.append(Shape(name, form, step[:, None], scanned=True))
+        shapes.append(_shape(covariate, form, step[:, None], scanned=True))
     return shapes
 
 
-def _patches(covariate: Covariate, z, known, usable, runs, low, high) -> list[Shape]:
+def _patches(covariate: Covariate, z, known, usable, runs, low, high) -> list[Test]:
     """Top hats of every width that the design resolves, half overlapping."""
     shapes, parts = [], 2
     while parts <= MOST_PARTS:
@@ -206,7 +198,7 @@ def _patches(covariate: Covariate, z, known, usable, runs, low, high) -> list[Sh
                 ends = [covariate.plain(low + e * (high - low)) for e in (left, left + width)]
                 form = f"a patch from {ends[0]} to {ends[1]}"
                 column = inside.astype(float)[:, None]
-                found.append(Shape(covariate.name, form, column, scanned=True))
+                found.append(_shape(covariate, form, column, scanned=True))
         if not found:
             break
         shapes += found
@@ -214,7 +206,7 @@ def _patches(covariate: Covariate, z, known, usable, runs, low, high) -> list[Sh
     return shapes
 
 
-def _changes(covariate: Covariate, values, known, usable, runs) -> list[Shape]:
+def _changes(covariate: Covariate, values, known, usable, runs) -> list[Test]:
     """Changes for good, between stretches of equally many runs."""
     _, first = np.unique(runs[known & usable], return_index=True)
     of_runs = np.sort(values[known & usable][first])
@@ -224,11 +216,11 @@ def _changes(covariate: Covariate, values, known, usable, runs) -> list[Shape]:
             at = 0.5 * (of_runs[after - 1] + of_runs[after])
             later = np.where(known & (values > at), 1.0, 0.0)
             form = f"a change for good at {covariate.plain(at)}"
-            shapes.append(Shape(covariate.name, form, later[:, None], scanned=True))
+            shapes.append(_shape(covariate, form, later[:, None], scanned=True))
     return shapes
 
 
-def _waves(rows, covariate: Covariate, usable) -> list[Shape]:
+def _waves(rows, covariate: Covariate, usable) -> list[Test]:
     if not covariate.waves:
         return []
     name = covariate.name
@@ -241,11 +233,11 @@ def _waves(rows, covariate: Covariate, usable) -> list[Shape]:
     for order in covariate.waves:
         wave = np.column_stack([np.cos(order * values), np.sin(order * values)])
         wave = np.where(known[:, None], wave, 0.0)
-        shapes.append(Shape(name, f"{names[order]} direction", wave))
+        shapes.append(_shape(covariate, f"{names[order]} direction", wave))
     return shapes
 
 
-def _cycles(rows, covariate: Covariate, usable) -> list[Shape]:
+def _cycles(rows, covariate: Covariate, usable) -> list[Test]:
     if "cycles" not in covariate.sought:
         return []
     values = rows[covariate.name].to_numpy(float)
@@ -262,5 +254,5 @@ def _cycles(rows, covariate: Covariate, usable) -> list[Shape]:
         phase = 2 * np.pi * np.where(known, values, 0.0) / period
         wave = np.where(known[:, None], np.column_stack([np.cos(phase), np.sin(phase)]), 0.0)
         form = f"a cycle of {period:.3g} {covariate.unit}"
-        shapes.append(Shape(covariate.name, form, wave, scanned=True))
+        shapes.append(_shape(covariate, form, wave, scanned=True))
     return shapes

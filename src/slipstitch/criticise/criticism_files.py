@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -68,24 +69,15 @@ def finite(content: Any) -> Any:
     return None if isinstance(content, float) and not math.isfinite(content) else content
 
 
-@dataclass(frozen=True)
-class Paths:
-    """What is written where: JSON, HTML (or Markdown, by its name), SVG, YAML, JSON."""
-
-    verdict: str | Path
-    page: str | Path | None = None
-    picture: str | Path | None = None
-    model: str | Path | None = None
-    resimulation: str | Path | None = None
-
-
 def criticise_to_files(
-    case: Case, seed: int, replicates: int, paths: Paths, campaigns: int = 0
+    case: Case, seed: int, replicates: int, paths: Mapping[str, Path | None], campaigns: int = 0
 ) -> str:
     """Criticise a case, write what is asked for, and say in a sentence what was found.
 
     Parameters
     ----------
+    paths : of the ``verdict`` and, where wanted, the ``page`` (HTML, or Markdown by its name),
+        ``picture`` (SVG), ``model`` (YAML) and ``resimulation``.
     seed, replicates : of the simulated maxima; simulated data sets behind each family-wise p.
     campaigns : simulated in which nothing is hidden, for the rate of false alarms.
     """
@@ -97,9 +89,9 @@ def criticise_to_files(
         scatters = analysis.null_state.scatters
         rate = false_alarms(m, analysis.null, scatters, campaigns, seed, replicates)
         verdict["certificate"]["false_alarm_rate"] = rate
-    write_json(paths.verdict, finite(verdict), record())
+    write_json(paths["verdict"], finite(verdict), record())
     again = None
-    if paths.resimulation:
+    if path := paths.get("resimulation"):
         from slipstitch.criticise.resimulation import FEWEST_SPECIMENS, resimulate_left_out
 
         why = "no drop-and-drag runs to simulate"
@@ -107,19 +99,20 @@ def criticise_to_files(
             again = resimulate_left_out(case, seed, replicates)
             why = f"fewer than {FEWEST_SPECIMENS} specimens: none can be left out"
         summary = again.summary if again else {"case": case.name, "reason": why}
-        write_json(paths.resimulation, finite(summary), record())
-    if paths.page or paths.picture:
-        from slipstitch.criticise.report.verdict_page import left_over, markdown, page
+        write_json(path, finite(summary), record())
+    if path := paths.get("page"):
+        from slipstitch.criticise.report.verdict_page import markdown, page
 
-        if paths.page:
-            as_text = Path(paths.page).suffix == ".md"
-            text = markdown(case, verdict, analysis) if as_text else page(verdict, analysis, again)
-            write_text(paths.page, text, record())
-        if paths.picture:
-            write_text(paths.picture, left_over(verdict, analysis), record())
-    if paths.model:
+        as_text = Path(path).suffix == ".md"
+        text = markdown(case, verdict, analysis) if as_text else page(verdict, analysis, again)
+        write_text(path, text, record())
+    if path := paths.get("picture"):
+        from slipstitch.criticise.report.verdict_page import left_over
+
+        write_text(path, left_over(verdict, analysis), record())
+    if path := paths.get("model"):
         text = yaml.safe_dump(extended_model(verdict), sort_keys=False)
-        write_text(paths.model, text, record())
+        write_text(path, text, record())
     return statement(verdict)
 
 

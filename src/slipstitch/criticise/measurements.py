@@ -17,13 +17,14 @@ from slipstitch.criticise.causes import (
     Bench,
     DataFinding,
     Zero,
+    departures,
 )
 from slipstitch.criticise.covariates import load_before
 from slipstitch.criticise.force_cells import cell_faults
 from slipstitch.criticise.plausibility import implausible
 from slipstitch.criticise.protocols import INSTRUMENT_QUANTITIES, PROTOCOLS
 from slipstitch.criticise.protocols.protocol import Block
-from slipstitch.physics.friction_law import CONTACT_MECHANISMS, Curve, FrictionLaw, Parameter
+from slipstitch.physics.friction_law import Curve, FrictionLaw, Parameter
 
 REMEMBERED = 64  # predictions of a block
 # The friction coefficients of the null, of the cloth's face and of a strip's edge.
@@ -124,16 +125,8 @@ class Measurements:
         ``values`` holds the logarithms of mu_face and mu_edge and the causes' parameters,
         ``zeros`` fields of the bench that are off by a sensor's zero, ``curve`` a tabulated factor.
         """
-        mechanisms: dict[str, dict[str, float]] = {}
-        changes: dict[str, float] = dict(zeros or {})
-        for cause in causes:
-            mechanism = MECHANISMS[cause]
-            own = {p.name: values[p.name] for p in mechanism.parameters}
-            if cause in CONTACT_MECHANISMS:
-                mechanisms[cause] = own
-            else:
-                changes |= BENCH_MECHANISMS[cause].changes(own)
-        bench = Bench(**changes)
+        mechanisms, changes = departures(causes, values)
+        bench = Bench(**{**(zeros or {}), **changes})
         laws = {
             p.name: FrictionLaw(
                 float(np.exp(values.get(p.name, UNKNOWN_LOG_COEFFICIENT))), mechanisms, curve

@@ -19,11 +19,11 @@ from slipstitch.criticise.case import Case, read_case
 from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.inference.discrepancy import predicted_with
 from slipstitch.criticise.inference.fit import carried_over
+from slipstitch.criticise.inference.mixed_model import total_variance
 from slipstitch.criticise.measurements import Measurements, assemble
 from slipstitch.criticise.protocols import PROTOCOLS
 from slipstitch.physics.friction_law.extended_model import curve_of
 
-USUAL_SCATTER = (0.05, 0.03, 1.2)
 COLUMNS = {"null": "null", "extended": "ext"}  # of the models in a table of predictions
 
 
@@ -135,10 +135,9 @@ def predict_model(
         [own.get(protocol, {}).get(zero.field, (0.0, 0.0)) for protocol, zero in design.zeros]
     ).reshape(-1, 2)
     sensitivity = columns[:, : len(design.null_parameters)].sum(axis=1)
-    scatter = np.array([known_scatter.get(protocol, USUAL_SCATTER) for protocol in design.protocol])
     variance = (
-        (scatter[:, 2] * design.u) ** 2
-        + sensitivity**2 * (scatter[:, 0] ** 2 + scatter[:, 1] ** 2 + factor_sd**2)
+        total_variance(design.protocol, design.u, sensitivity, known_scatter)
+        + (sensitivity * factor_sd) ** 2
         + np.einsum("ij,jk,ik->i", columns, covariance, columns)
         + (design.zero_columns**2) @ zeros[:, 1] ** 2
     )

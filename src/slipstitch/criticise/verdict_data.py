@@ -7,7 +7,7 @@ from operator import itemgetter
 import numpy as np
 
 from slipstitch.criticise.case import Case
-from slipstitch.criticise.causes import BENCH_MECHANISMS, MECHANISMS
+from slipstitch.criticise.causes import departures
 from slipstitch.criticise.covariates import COVARIATES
 from slipstitch.criticise.inference.certificate import certificate, separations
 from slipstitch.criticise.inference.discrepancy import embedded_discrepancy
@@ -19,7 +19,7 @@ from slipstitch.criticise.inference.intervals import not_exported, not_identifie
 from slipstitch.criticise.inference.structure import Outcome
 from slipstitch.criticise.verdict import Analysis
 from slipstitch.criticise.within_runs import within_runs
-from slipstitch.physics.friction_law import CONTACT_MECHANISMS, FrictionLaw
+from slipstitch.physics.friction_law import FrictionLaw
 
 SPEC_VERSION = 1
 CLOSE_BIC = 25.0
@@ -44,8 +44,7 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
     if analysis.verdict == "confounded":
         separate_by = separations(case, rivals, analysis.state.scatters)
     if analysis.verdict == "unknown":
-        measured, null = analysis.measurements, analysis.null
-        discrepancy = embedded_discrepancy(measured, null, analysis.null_state, seed)
+        discrepancy = embedded_discrepancy(analysis.measurements, analysis.null_state, seed)
     return {
         "case": case.name,
         "spec_version": SPEC_VERSION,
@@ -125,10 +124,7 @@ def _model(analysis: Analysis, fitted: Fit) -> dict:
         "values": fitted.values.tolist(),
         "covariance": fitted.covariance.tolist(),
         "zeros": zeros,
-        "scatter": {
-            protocol: [s.specimen, s.run, s.kappa]
-            for protocol, s in plain_scatters(analysis, fitted).items()
-        },
+        "scatter": {p: list(s) for p, s in plain_scatters(analysis, fitted).items()},
     }
 
 
@@ -154,14 +150,7 @@ def extended_model(verdict: dict, which: str = "extended") -> dict:
     if found and found["covariate"]:
         table = {"discrepancy": {key: found[key] for key in ("covariate", "knots", "factors")}}
         values |= {name: np.log(value) for name, value in found["coefficients"].items()}
-    mechanisms: dict[str, dict[str, float]] = {}
-    bench: dict[str, float] = {}
-    for cause in causes:
-        own = {p.name: values[p.name] for p in MECHANISMS[cause].parameters}
-        if cause in CONTACT_MECHANISMS:
-            mechanisms[cause] = own
-        else:
-            bench |= {k: float(v) for k, v in BENCH_MECHANISMS[cause].changes(own).items()}
+    mechanisms, bench = departures(causes, values)
     laws = {
         side: FrictionLaw(float(np.exp(values[name])), mechanisms).to_dict()
         for side, name in (("face", "mu_face"), ("edge", "mu_edge"))
@@ -173,7 +162,7 @@ def extended_model(verdict: dict, which: str = "extended") -> dict:
         "causes": causes,
         **({"not_exported": left_out} if left_out else {}),
         "friction_law": laws,
-        "bench": bench,
+        "bench": {name: float(value) for name, value in bench.items()},
         **table,
         "nominal": verdict["nominal"],
     }

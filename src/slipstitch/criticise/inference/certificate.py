@@ -22,7 +22,7 @@ from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.inference import mixed_model
 from slipstitch.criticise.inference.candidates import TIE_BIC, Candidate
 from slipstitch.criticise.inference.fit import Fit, carried_over, jacobian, named
-from slipstitch.criticise.inference.mixed_model import Clusters, Group, Scatter
+from slipstitch.criticise.inference.mixed_model import Group, Scatter
 from slipstitch.criticise.inference.state import alternatives, ratios_of
 from slipstitch.criticise.inference.structure import ERROR_WEIGHTS, Outcome, Test
 from slipstitch.criticise.measurements import Measurements, measurements_of
@@ -120,9 +120,7 @@ def closest_rivals(
     """
     mechanisms = [test for test in tests if test.mechanism is not None]
     columns = np.column_stack([base, zeros, *(test.columns for test in mechanisms)])
-    gram = np.zeros((columns.shape[1], columns.shape[1]))
-    for group in groups:
-        gram += Clusters(group, columns[group.index]).gram(scatters[group.protocol])
+    gram = mixed_model.gram_of(groups, scatters, columns)
     fixed = base.shape[1] + zeros.shape[1]
     size = np.sqrt(np.maximum(gram.diagonal(), 1e-300))
     gram = gram / size / size[:, None]

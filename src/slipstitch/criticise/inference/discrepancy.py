@@ -14,7 +14,6 @@ import pandas as pd
 from scipy.stats import t as student
 
 from slipstitch.criticise.covariates import COVARIATES
-from slipstitch.criticise.inference.fit import Fit
 from slipstitch.criticise.inference.smooth_factor import (
     LEVEL_SD,
     SPEED,
@@ -161,14 +160,12 @@ def along(found: dict, places, factors=None) -> np.ndarray:
     return np.exp(np.interp(covariate.searched(np.asarray(places, float)), knots, logs))
 
 
-def specimen_factors(
-    found: dict, measurements: Measurements, null: Fit, state: State
-) -> pd.DataFrame:
+def specimen_factors(found: dict, measurements: Measurements, state: State) -> pd.DataFrame:
     """What specimens say of the factor: protocol, specimen, ``at`` a place, their mean ``factor``.
 
     Many places are drawn together into as many as there are knots at most.
     """
-    m, problem = measurements, Problem(state.measurements, null, state.scatters)
+    m, problem = measurements, Problem(state.measurements, state.fitted, state.scatters)
     track = track_along(problem, found["covariate"])
     if track is None:
         return pd.DataFrame({"protocol": [], "at": [], "factor": []})
@@ -241,14 +238,14 @@ def _listed(names: list[str]) -> str:
 
 
 def embedded_discrepancy(
-    whole: Measurements, null: Fit, state: State, seed: int = 1, replicates: int = 500
+    whole: Measurements, state: State, seed: int = 1, replicates: int = 500
 ) -> dict:
     """The smooth factor that the data ask for beside the null, if any.
 
     Parameters
     ----------
     whole : the measurements as they were made; ``state`` has those that allow for outliers.
-    null, state : fit of the null, and its scatter.
+    state : the null and its scatter.
     seed, replicates : of the simulated maxima.
 
     Returns
@@ -261,7 +258,7 @@ def embedded_discrepancy(
         it is linear in its logarithm and, for speed and load, in that of the covariate.
     """
     measurements = state.measurements
-    problem = Problem(measurements, null, state.scatters)
+    problem = Problem(measurements, state.fitted, state.scatters)
     tracks = [track for name in ALONG if (track := track_along(problem, name)) is not None]
     tried = _tried(problem, tracks, state, np.random.default_rng(seed), replicates)
     plain = problem.fit(None) if tracks else None
@@ -307,7 +304,7 @@ def embedded_discrepancy(
         "ci95": [list(band) for band in zip(low, high, strict=True)],
         "coefficients": dict(zip(names, rounded(np.exp(curve.level + mean)), strict=True)),
         # Beside the factor, outliers included: for prediction.
-        "scatter": {p: [s.specimen, s.run, s.kappa] for p, s in beside.scatters.items()},
+        "scatter": {p: list(s) for p, s in beside.scatters.items()},
         # Of features of left-out specimens, relative to friction.
         "rmse_null": round(errors[0], 5),
         "rmse_extended": round(errors[1], 5),

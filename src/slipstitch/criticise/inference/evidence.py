@@ -57,18 +57,14 @@ class Evidence:
         return np.random.default_rng(self.seed)
 
     @cached_property
-    def _null(self) -> tuple[Fit, State]:
+    def null_state(self) -> State:
+        """Scatter and tests beside plain friction."""
         return robust_fit(self.measurements)
 
     @property
     def null(self) -> Fit:
         """Plain friction."""
-        return self._null[0]
-
-    @property
-    def null_state(self) -> State:
-        """Scatter and tests beside plain friction."""
-        return self._null[1]
+        return self.null_state.fitted
 
     @cached_property
     def null_outcome(self) -> Outcome:
@@ -148,7 +144,7 @@ class Evidence:
         while ranking[0].bic < -2 and ranking[0].causes not in beside and len(beside) < MOST_BESIDE:
             best = ranking[0]
             beside.add(best.causes)
-            found = robust_fit(self.measurements, best.causes, best.fitted)[1].measurements
+            found = robust_fit(self.measurements, best.causes, best.fitted).measurements
             if not np.array_equal(found.usual, m.usual):
                 m = found
                 weights = Weights(m, state.sensitivity, state.scatters)

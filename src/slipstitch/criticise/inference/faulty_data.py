@@ -8,7 +8,7 @@ noise is as large as its own residuals within runs say, if that is more than is 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from scipy.stats import chi2 as chi_square
@@ -68,7 +68,7 @@ USUAL_UNDERSTATEMENT = 1.5
 
 def robust_fit(
     measurements: Measurements, causes: tuple[str, ...] = (), start: Fit | None = None
-) -> tuple[Fit, State]:
+) -> State:
     """Fit causes with heavy tails; the state's measurements allow for what lies far off."""
     fitted = start or _first_fit(measurements, causes)
     found = alternatives(measurements, fitted)
@@ -79,7 +79,7 @@ def robust_fit(
         fitted = fit(allowing, weights, causes, fitted.as_dict())
         state = state_at(allowing, fitted, scatters)
         scatters = state.scatters
-    return fitted, state
+    return state
 
 
 def _first_fit(measurements: Measurements, causes: tuple[str, ...]) -> Fit:
@@ -111,15 +111,15 @@ def with_heavy_tails(measurements: Measurements, fitted: Fit, found: Alternative
     return replace(m, u=u, astray=astray, outliers=tuple(outlier for _, outlier in outliers))
 
 
-@dataclass
 class _Far:
-    """Whether runs (or features) are of the wide component: deviation, t and probability."""
+    """Whether runs (or features) are of the wide component: deviation, odds and probability."""
 
-    deviation: np.ndarray
-    variance: np.ndarray
-    wide: np.ndarray
-    log_odds: np.ndarray
-    probability: np.ndarray
+    def __init__(self, deviation, variance, wide, prior):
+        self.deviation, self.variance, self.wide = deviation, variance, wide
+        self.log_odds = np.log(prior) + 0.5 * (
+            deviation**2 / variance - deviation**2 / (variance + wide) - np.log1p(wide / variance)
+        )
+        self.probability = np.zeros(len(deviation))
 
     @property
     def excess(self) -> np.ndarray:
@@ -127,13 +127,6 @@ class _Far:
         usual, wide = self.variance, self.variance + self.wide
         mean = (1 - self.probability) / usual + self.probability / wide
         return 1 / mean - usual
-
-
-def _far(deviation, variance, wide, prior) -> _Far:
-    log_odds = np.log(prior) + 0.5 * (
-        deviation**2 / variance - deviation**2 / (variance + wide) - np.log1p(wide / variance)
-    )
-    return _Far(deviation, variance, wide, log_odds, np.zeros(len(deviation)))
 
 
 class _Tails:
@@ -237,13 +230,13 @@ class _Tails:
         excess[run] = self.group.astray
         variance = np.maximum(1 / information - excess, 1e-12)
         deviation = np.bincount(run, d * pulled, count) / information
-        self._runs = _far(deviation, variance, np.full(count, WIDE_RUN**2), FAR_RUN)
+        self._runs = _Far(deviation, variance, np.full(count, WIDE_RUN**2), FAR_RUN)
         self._runs.log_odds[~there] = -np.inf
         diagonal = np.maximum(precision.diagonal(), 1e-12)
         kappa = self._scatter.kappa
         variance = 1 / diagonal - ((kappa * self.group.u) ** 2 - usual)
         variance = np.maximum(variance, 1e-3 * usual)
-        self._features = _far(pulled / diagonal, variance, WIDE_FEATURE**2 * usual, FAR_FEATURE)
+        self._features = _Far(pulled / diagonal, variance, WIDE_FEATURE**2 * usual, FAR_FEATURE)
         alone = np.bincount(run, minlength=count) == 1
         self._features.log_odds[(alone & there)[run]] = -np.inf
         odds = np.exp(np.minimum(self._runs.log_odds, 500.0))
@@ -297,13 +290,9 @@ def estimated_zeros(
     if not count or not state.groups:
         return np.zeros(count), np.zeros((count, count))
     residual = m.y - fitted.prediction
-    columns = np.column_stack([m.zero_columns, fitted.jacobian])
-    size = columns.shape[1]
-    gram, pulled = np.zeros((size, size)), np.zeros(size)
-    for group in state.groups:
-        both = np.column_stack([columns[group.index], residual[group.index]])
-        own = Clusters(group, both).gram(state.scatters[group.protocol])
-        gram, pulled = gram + own[:-1, :-1], pulled + own[:-1, -1]
+    columns = np.column_stack([m.zero_columns, fitted.jacobian, residual])
+    both = mixed_model.gram_of(state.groups, state.scatters, columns)
+    gram, pulled = both[:-1, :-1], both[:-1, -1]
     scale = [1.0] * count + [30.0 * p.scale for p in fitted.parameters]
     ridge = 1.0 / np.array(scale) ** 2
     if usual:
@@ -311,7 +300,7 @@ def estimated_zeros(
         return (covariance @ pulled)[:count], covariance[:count, :count]
     values, variances = np.zeros(count), np.zeros(count)
     for k in range(count):
-        own = np.where(np.arange(size) == k, 1e-6, ridge)
+        own = np.where(np.arange(len(ridge)) == k, 1e-6, ridge)
         covariance = np.linalg.inv(gram + np.diag(own))
         values[k], variances[k] = (covariance @ pulled)[k], covariance[k, k]
     return values, np.diag(variances)

@@ -9,7 +9,12 @@ from scipy.special import log_ndtr
 
 from slipstitch.base.errors import NotConverged
 from slipstitch.criticise.causes import MECHANISMS
-from slipstitch.criticise.inference.mixed_model import START_SCATTER, Clusters, Scatter, make_groups
+from slipstitch.criticise.inference.mixed_model import (
+    Clusters,
+    Scatter,
+    make_groups,
+    total_variance,
+)
 from slipstitch.criticise.measurements import Measurements
 from slipstitch.physics.friction_law import Parameter
 
@@ -55,12 +60,8 @@ class Weights:
             pulled = self._solved(free)
             self._carried.append((pulled, np.linalg.pinv(free.T @ pulled, hermitian=True)))
         self._bounds = np.flatnonzero(m.lower_bound)
-        sd = np.empty(len(self._bounds))
-        for i, b in enumerate(self._bounds):
-            s = scatters.get(m.protocol[b], START_SCATTER)
-            d = sensitivity[b]
-            sd[i] = np.sqrt((s.kappa * m.u[b]) ** 2 + d * d * (s.specimen**2 + s.run**2))
-        self._bound_sd = np.maximum(sd, 1e-9)
+        own = (values[self._bounds] for values in (m.protocol, m.u, sensitivity))
+        self._bound_sd = np.maximum(np.sqrt(total_variance(*own, scatters)), 1e-9)
 
     def _solved(self, values: np.ndarray) -> np.ndarray:
         """P x of the groups' rows (n, k)."""

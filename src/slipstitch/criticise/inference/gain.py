@@ -11,7 +11,7 @@ from slipstitch.criticise.inference import mixed_model
 from slipstitch.criticise.inference.candidates import Candidate
 from slipstitch.criticise.inference.faulty_data import without_zeros
 from slipstitch.criticise.inference.fit import Fit, fit
-from slipstitch.criticise.inference.mixed_model import Scatter
+from slipstitch.criticise.inference.mixed_model import Clusters, Scatter, total_variance
 from slipstitch.criticise.inference.state import State
 from slipstitch.criticise.verdict import Analysis
 
@@ -32,31 +32,37 @@ def plain_scatters(analysis: Analysis, fitted: Fit) -> dict[str, Scatter]:
 
 @dataclass
 class _Linear:
-    """A fitted candidate with what each specimen contributes to its normal equations."""
+    """A fitted candidate with what each specimen contributes to its normal equations.
+
+    ``grams`` (specimens, k + 1, k + 1) are of the parameters' columns and the residual (n,), from
+    which sensors' zeros are taken.
+    """
 
     fitted: Fit
+    residual: np.ndarray
     extra: int
-    curvature: np.ndarray
-    gradient: np.ndarray
-    squares: np.ndarray
+    grams: np.ndarray
+
+    def without(self, left: int) -> tuple[float, np.ndarray, np.ndarray]:
+        """Sum of squares on the other specimens, change of the parameters, their covariance."""
+        gram = self.grams.sum(axis=0) - self.grams[left]
+        gradient = gram[:-1, -1]
+        scale = np.array([p.scale for p in self.fitted.parameters])
+        covariance = np.linalg.inv(gram[:-1, :-1] + np.diag(1.0 / (30 * scale) ** 2))
+        step = covariance @ gradient
+        return float(gram[-1, -1] - gradient @ step), step, covariance
 
 
-def _linear(analysis: Analysis, fitted: Fit, parts, extra: int) -> _Linear:
+def _linear(analysis: Analysis, fitted: Fit, state: State, extra: int) -> _Linear:
     residual = without_zeros(analysis.measurements, fitted, analysis.state)
-    curvature, gradient, squares = [], [], []
-    for index, inverse in parts:
-        weighted = inverse @ fitted.jacobian[index]
-        curvature.append(fitted.jacobian[index].T @ weighted)
-        gradient.append(weighted.T @ residual[index])
-        squares.append(residual[index] @ inverse @ residual[index])
-    count = len(fitted.values)
-    return _Linear(
-        fitted,
-        extra,
-        np.reshape(curvature, (-1, count, count)),
-        np.reshape(gradient, (-1, count)),
-        np.array(squares),
-    )
+    columns, grams = np.column_stack([fitted.jacobian, residual]), []
+    for group in state.groups:
+        own = columns[group.index]
+        weighted = Clusters(group, own).solved(state.scatters[group.protocol], own)
+        for specimen in np.unique(group.specimen):
+            mine = group.specimen == specimen
+            grams.append(weighted[mine].T @ own[mine])
+    return _Linear(fitted, residual, extra, np.reshape(grams, (-1, *[columns.shape[1]] * 2)))
 
 
 def held_out_gain(analysis: Analysis, candidates: list[Candidate]) -> dict:
@@ -67,32 +73,37 @@ def held_out_gain(analysis: Analysis, candidates: list[Candidate]) -> dict:
     errors relative to friction.
     """
     m, state = analysis.measurements, analysis.state
-    parts, rows_of = _parts(analysis, state)
     runs = np.log(max(m.runs, 2))
     # The null that is predicted with is the one reported, under its own scatter; the one that
     # competes for selection is the null under the scatter of the others.
-    null = _linear(analysis, analysis.null, _parts(analysis, analysis.null_state, parts)[0], 0)
+    null = _linear(analysis, analysis.null, analysis.null_state, 0)
     models = [fit(m, state.weights, (), analysis.null.as_dict()), *(c.fitted for c in candidates)]
     count = len(analysis.null.values)
-    rivals = [_linear(analysis, f, parts, len(f.values) - count) for f in models]
+    rivals = [_linear(analysis, f, state, len(f.values) - count) for f in models]
     plain_null = plain_scatters(analysis, analysis.null)
     reference = analysis.chosen.fitted if analysis.chosen is not None else analysis.null
     plain_extended = plain_scatters(analysis, reference)
+    # Outliers teach little but count in the score: a fresh campaign has them too.
+    rows_of = [
+        group.index[group.specimen == specimen]
+        for group in state.groups
+        for specimen in np.unique(group.specimen)
+    ]
     scores, errors = [], []
     for i, rows in enumerate(rows_of):
-        fits = [_without(model, i) for model in rivals]
+        fits = [model.without(i) for model in rivals]
         cost = [found[0] + model.extra * runs for found, model in zip(fits, rivals, strict=True)]
         best = int(np.argmin(cost))
-        pair = [_score(analysis, null.fitted, _without(null, i), rows, plain_null)] * 2
+        pair = [_score(analysis, null, null.without(i), rows, plain_null)] * 2
         if best:
-            pair[1] = _score(analysis, rivals[best].fitted, fits[best], rows, plain_extended)
+            pair[1] = _score(analysis, rivals[best], fits[best], rows, plain_extended)
         scale = np.hypot(np.abs(state.sensitivity[rows]), m.u[rows])
         scores.append([score for score, _ in pair])
         errors.append([np.sum((error / scale) ** 2) for _, error in pair])
     sizes = np.array([len(rows) for rows in rows_of], float)
     total, specimens = sizes.sum(), len(sizes)
     if total == 0:  # bounds only
-        found, specimens = [float("nan")] * 6, 0
+        found = [float("nan")] * 6
     else:
         plain, extended = np.array(scores).T
         differences = extended - plain
@@ -114,52 +125,15 @@ def held_out_gain(analysis: Analysis, candidates: list[Candidate]) -> dict:
     }
 
 
-def _parts(analysis: Analysis, state: State, like: list | None = None):
-    """Specimen by specimen: its features with their inverse variance, and the rows to score.
-
-    ``like``: the parts of another state, whose specimens are given in the same order.
-    """
-    m = analysis.measurements
-    parts, rows_of = [], []
-    for group in state.groups:
-        specimens = m.specimen[group.index]
-        for specimen in np.unique(specimens):
-            mine = np.flatnonzero(specimens == specimen)
-            variance = group.part(mine).variance(state.scatters[group.protocol])
-            parts.append((group.index[mine], np.linalg.inv(variance)))
-            # Outliers teach little but count in the score: a fresh campaign has them too.
-            rows_of.append(np.flatnonzero((m.specimen == specimen) & ~m.lower_bound))
-    if like is not None:
-        found = {m.specimen[part[0][0]]: part for part in parts}
-        nothing = (np.zeros(0, int), np.zeros((0, 0)))
-        parts = [found.get(m.specimen[part[0][0]], nothing) for part in like]
-    return parts, rows_of
-
-
-def _without(model: _Linear, left: int):
-    """Sum of squares on the other specimens, change of the parameters, their covariance."""
-    curvature = model.curvature.sum(axis=0) - model.curvature[left]
-    gradient = model.gradient.sum(axis=0) - model.gradient[left]
-    squares = model.squares.sum() - model.squares[left]
-    scale = np.array([p.scale for p in model.fitted.parameters])
-    ridge = np.diag(1.0 / (30 * scale) ** 2)
-    covariance = np.linalg.inv(curvature + ridge)
-    step = covariance @ gradient
-    return squares - gradient @ step, step, covariance
-
-
-def _score(analysis: Analysis, fitted: Fit, folded, rows, scatters):
+def _score(analysis: Analysis, model: _Linear, folded, rows, scatters):
     """Log density and error of the rows of a specimen that was not seen."""
     m, state = analysis.measurements, analysis.state
     _, step, covariance = folded
-    columns = fitted.jacobian[rows]
-    error = without_zeros(m, fitted, state)[rows] - columns @ step
-    scatter = scatters[m.protocol[rows[0]]]
-    d = state.sensitivity[rows]
-    variance = (
-        (scatter.kappa * m.u[rows]) ** 2
-        + d**2 * (scatter.specimen**2 + scatter.run**2)
-        + np.einsum("ij,jk,ik->i", columns, covariance, columns)
+    columns = model.fitted.jacobian[rows]
+    error = model.residual[rows] - columns @ step
+    own = m.protocol[rows], m.u[rows], state.sensitivity[rows]
+    variance = total_variance(*own, scatters) + np.einsum(
+        "ij,jk,ik->i", columns, covariance, columns
     )
     log_density = -0.5 * (np.log(2 * np.pi * variance) + error**2 / variance)
     return float(log_density.sum()), error

@@ -15,7 +15,9 @@ V is never built. With sums over run j, A_j = sum d^2 / (kappa u)^2, T_j = sum d
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.optimize import minimize
@@ -30,8 +32,7 @@ SIGMA_LIMITS = (1e-4, 0.6)
 TYPICAL_SIGMA = 0.015
 
 
-@dataclass(frozen=True)
-class Scatter:
+class Scatter(NamedTuple):
     """Relative scatter between specimens and between runs, and the instrument's true noise."""
 
     specimen: float
@@ -49,6 +50,15 @@ class Scatter:
 
 
 START_SCATTER = Scatter(0.05, 0.03, 1.2)
+
+
+def total_variance(
+    protocol: np.ndarray, u: np.ndarray, sensitivity: np.ndarray, scatters: Mapping[str, Scatter]
+) -> np.ndarray:
+    """Variance of features (n,): instrument, specimen and run; of no known scatter, as usual."""
+    known = [scatters.get(name, START_SCATTER) for name in protocol]
+    specimen, run, kappa = np.reshape(known, (-1, 3)).T
+    return (kappa * u) ** 2 + sensitivity**2 * (specimen**2 + run**2)
 
 
 @dataclass
@@ -78,11 +88,6 @@ class Group:
         v = np.outer(self.sensitivity, self.sensitivity) * shared
         v[np.diag_indices_from(v)] += (scatter.kappa * self.u) ** 2
         return v
-
-    def part(self, kept: np.ndarray) -> Group:
-        """The features at some places of this group."""
-        arrays = ("index", "u", "sensitivity", "specimen", "run", "astray")
-        return replace(self, **{name: getattr(self, name)[kept] for name in arrays})
 
     def level(self) -> np.ndarray:
         """The fixed effect of the scatter's estimate, (n, 1): the level of friction."""
@@ -117,6 +122,16 @@ def zeros_of(measurements: Measurements, group: Group) -> np.ndarray:
     """Columns of the zeros of a protocol's sensors, (features, z), each with unit prior sd."""
     own = [k for k, (protocol, _) in enumerate(measurements.zeros) if protocol == group.protocol]
     return measurements.zero_columns[np.ix_(group.index, own)]
+
+
+def gram_of(
+    groups: Iterable[Group], scatters: Mapping[str, Scatter], columns: np.ndarray
+) -> np.ndarray:
+    """X' V^-1 X of columns over all features (n, m), (m, m)."""
+    gram = np.zeros((columns.shape[1], columns.shape[1]))
+    for group in groups:
+        gram += Clusters(group, columns[group.index]).gram(scatters[group.protocol])
+    return gram
 
 
 class Clusters:

@@ -227,16 +227,14 @@ class Problem:
 
 def sums_of(model: Fitted) -> tuple[np.ndarray, np.ndarray, float]:
     """X' V^-1 X, X' V^-1 y and the log-likelihood of no columns, over all protocols."""
-    gram, score, bare = 0.0, 0.0, 0.0
+    both = np.column_stack([model.columns, model.target])
+    gram = mixed_model.gram_of(model.groups, model.scatters, both)
+    bare = -0.5 * gram[-1, -1]
     for group in model.groups:
         scatter = model.scatters[group.protocol]
-        both = np.column_stack([model.columns, model.target])[group.index]
-        clusters = Clusters(group, both)
-        own = clusters.gram(scatter)
-        gram, score = gram + own[:-1, :-1], score + own[:-1, -1]
         bare += scatter.log_prior()
-        bare -= 0.5 * (clusters.log_determinant(scatter) + own[-1, -1])
-    return np.asarray(gram), np.asarray(score), float(bare)
+        bare -= 0.5 * Clusters(group, both[group.index, :0]).log_determinant(scatter)
+    return gram[:-1, :-1], gram[:-1, -1], float(bare)
 
 
 def _evidence(model: Fitted, sums, root: np.ndarray | None, restricted: bool) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -95,16 +95,7 @@ def alternatives(measurements: Measurements, fitted: Fit) -> Alternatives:
         empty = (column == "").to_numpy() if column.dtype == object else column.isna().to_numpy()
         nuisance = nuisance_columns(measurements, empty & usable, sensitivity)
         columns = shape.columns * np.where(usable, sensitivity, 0.0)[:, None]
-        tests.append(
-            Test(
-                columns,
-                nuisance,
-                covariate=shape.covariate,
-                shape=shape.form,
-                scanned=shape.scanned,
-                spanned=shape.spanned,
-            )
-        )
+        tests.append(replace(shape, columns=columns, nuisance=nuisance))
     return Alternatives(tests, sensitivity, untestable)
 
 

@@ -16,7 +16,6 @@ from slipstitch.criticise.protocols.drag_trace import (
     trace_features,
 )
 from slipstitch.criticise.traces import Signal, TraceNoise, noise_of
-from slipstitch.physics import GRAVITY_M_S2
 
 PLATEAUS = ("force_plateau_mN", "force_back_plateau_mN")
 SLIPS = ("force_first_slip_mN", "force_reversal_slip_mN")
@@ -134,18 +133,11 @@ def features(tables, nominal, measured) -> DragBlock | None:
         rows[name] = rows[name] + np.where(returning, 180.0, 0.0)
     reversal_dwell = nominal.get("reversal_dwell_s", np.nan)
     rows["dwell_s"] = np.where(returning, reversal_dwell, rows["dwell_s"])
-    cloth, added = (mass[index] for mass in protocol.masses_of(runs, nominal))
-    load, area = (cloth + added) * GRAVITY_M_S2, runs["area_cm2"].to_numpy(float)[index] * 1e-4
     slipping = rows["quantity"].isin(SLIPS).to_numpy()
-    at_rest, in_motion = protocol.contacts_of(rows, slipping, load, area)
-    rows["load_ratio"] = at_rest.load_ratio()
     block = DragBlock(
         "drag",
         rows,
-        at_rest,
-        in_motion,
-        cloth,
-        added,
+        *protocol.loaded(runs, nominal, index, rows, slipping),
         DEPARTURE_NOISES * 1e-3 * u[index] * (0.0 if traces is None else 1.0),
         np.array([feature.grid_step for feature in found]),
         np.array([feature.grid_point for feature in found]),
@@ -163,18 +155,18 @@ DRAG = protocol.Protocol(
         "drag_runs": (
             *protocol.RUN_COLUMNS,
             protocol.azimuth("stage_azimuth_deg"),
-            protocol.number("area_cm2", 1e-3, 1e5, usual=100.0),
-            protocol.number("added_mass_g", 0, 1e5, usual=20.0),
-            protocol.number("speed_mm_s", 1e-6, 1e4, True, usual=10.0),
-            protocol.number("u_force_mN", 1e-6, 1e5, usual=0.3),
+            protocol.Column("area_cm2", 1e-3, 1e5, usual=100.0),
+            protocol.Column("added_mass_g", 0, 1e5, usual=20.0),
+            protocol.Column("speed_mm_s", 1e-6, 1e4, True, usual=10.0),
+            protocol.Column("u_force_mN", 1e-6, 1e5, usual=0.3),
         ),
         "drag": (
-            protocol.text("run_id", may_be_empty=False),
-            protocol.number("stroke", 0, 1),
-            protocol.number("t_s", -1e7, 1e7, True),
-            protocol.number("x_stage_mm", -1e5, 1e5),
-            protocol.number("v_mm_s", -1e4, 1e4, True),
-            protocol.number("force_mN", -1e7, 1e7),
+            protocol.RUN_ID,
+            protocol.Column("stroke", 0, 1),
+            protocol.Column("t_s", -1e7, 1e7, True),
+            protocol.Column("x_stage_mm", -1e5, 1e5),
+            protocol.Column("v_mm_s", -1e4, 1e4, True),
+            protocol.Column("force_mN", -1e7, 1e7),
         ),
     },
     nominal=("rho_kg_m2", "k_tether_N_m"),

@@ -224,10 +224,7 @@ def features(tables, nominal, measured) -> DropDragBlock | None:
     if not lines:
         return None
     index, rows = protocol.feature_rows(common, lines)
-    static = rows["quantity"].to_numpy() == "first_motion_mm"
-    rows["static"] = static
-    rows["dwell_s"] = np.where(static, rows["dwell_s"], np.nan)
-    rows["speed_mm_s"] = np.where(static, np.nan, rows["speed_mm_s"])
+    protocol.told_by(rows, rows["quantity"].to_numpy() == "first_motion_mm")
     contact = {"normal_force_N": np.nan, **protocol.conditions_of(common)}
     rows["load_ratio"] = nominal["rho_kg_m2"] * GRAVITY_M_S2 / 50.0
     block = DropDragBlock(
@@ -252,18 +249,18 @@ DROP_DRAG = protocol.Protocol(
         "drop_drag_runs": (
             *protocol.RUN_COLUMNS,
             protocol.azimuth("stage_azimuth_deg"),
-            protocol.number("height_mm", 1, 1e4, usual=100.0),
-            protocol.number("speed_mm_s", 1e-6, 1e4, True, usual=10.0),
-            protocol.number("u_pos_mm", 1e-6, 1e3, usual=0.3),
+            protocol.Column("height_mm", 1, 1e4, usual=100.0),
+            protocol.Column("speed_mm_s", 1e-6, 1e4, True, usual=10.0),
+            protocol.Column("u_pos_mm", 1e-6, 1e3, usual=0.3),
         ),
         "drop_drag": (
-            protocol.text("run_id", may_be_empty=False),
-            protocol.number("frame", 0, 1e9, True),
-            protocol.text("phase", may_be_empty=False, choices=("fwd", "rev")),
-            protocol.number("t_s", -1e7, 1e7, True),
-            protocol.number("x_stage_mm", -1e5, 1e5),
-            protocol.number("te_x_mm", -1e5, 1e5),
-            protocol.number("contact_len_mm", -1e5, 1e5),
+            protocol.RUN_ID,
+            protocol.Column("frame", 0, 1e9, True),
+            protocol.Column("phase", text=True, choices=("fwd", "rev")),
+            protocol.Column("t_s", -1e7, 1e7, True),
+            protocol.Column("x_stage_mm", -1e5, 1e5),
+            protocol.Column("te_x_mm", -1e5, 1e5),
+            protocol.Column("contact_len_mm", -1e5, 1e5),
         ),
     },
     nominal=("rho_kg_m2", "B_Nm", "cloth_length_m"),

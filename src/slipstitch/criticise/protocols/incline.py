@@ -83,11 +83,11 @@ INCLINE = protocol.Protocol(
         "incline": (
             *protocol.RUN_COLUMNS,
             protocol.azimuth("azimuth_deg"),
-            protocol.number("area_cm2", 1e-3, 1e5, True, usual=50.0),
-            protocol.number("added_mass_g", 0, 1e5, True, usual=20.0),
-            protocol.number("angle_deg", -10, 90, measured=True),
-            protocol.number("u_angle_deg", 1e-4, 20, usual=0.3),
-            protocol.number("censored", 0, 1, measured=True),
+            protocol.Column("area_cm2", 1e-3, 1e5, True, usual=50.0),
+            protocol.Column("added_mass_g", 0, 1e5, True, usual=20.0),
+            protocol.Column("angle_deg", -10, 90, measured=True),
+            protocol.Column("u_angle_deg", 1e-4, 20, usual=0.3),
+            protocol.Column("censored", 0, 1, measured=True),
         )
     },
     nominal=("rho_kg_m2",),

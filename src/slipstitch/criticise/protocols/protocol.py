@@ -26,7 +26,7 @@ class Column:
     name: str
     lower: float = float("-inf")
     upper: float = float("inf")
-    may_be_empty: bool = True
+    may_be_empty: bool = False
     text: bool = False
     choices: tuple[str, ...] = ()
     measured: bool = False
@@ -40,35 +40,26 @@ class Column:
         return f"a number from {self.lower:g} to {self.upper:g}"
 
 
-def text(name, may_be_empty=True, choices=(), measured=False) -> Column:
-    """A column of words."""
-    return Column(name, may_be_empty=may_be_empty, text=True, choices=choices, measured=measured)
-
-
-def number(name, lower, upper, may_be_empty=False, measured=False, usual=None) -> Column:
-    """A column of numbers."""
-    return Column(name, lower, upper, may_be_empty, measured=measured, usual=usual)
-
-
 def azimuth(name: str) -> Column:
     """The column of a direction in the lab."""
-    return number(name, *ANGLE_DEG, True, usual=0.0)
+    return Column(name, *ANGLE_DEG, True, usual=0.0)
 
 
 ANGLE_DEG = (-360.0, 360.0)
 # Samples of a trace further apart, in medians of their distance, hide what happened between them.
 GAP = 2.5
+RUN_ID = Column("run_id", text=True)
 # Of every table of runs.
 RUN_COLUMNS = (
-    text("run_id", may_be_empty=False),
-    text("specimen_id"),
-    number("clock_min", -1e6, 1e6, True),
-    number("repeat_index", 0, 1e5, True),
-    number("orientation_deg", *ANGLE_DEG, True),
-    number("dwell_s", 0, 1e7, True),
-    number("rh_pct", 0, 100, True),
-    number("pos_x_mm", -1e5, 1e5, True),
-    text("operator"),
+    RUN_ID,
+    Column("specimen_id", may_be_empty=True, text=True),
+    Column("clock_min", -1e6, 1e6, True),
+    Column("repeat_index", 0, 1e5, True),
+    Column("orientation_deg", *ANGLE_DEG, True),
+    Column("dwell_s", 0, 1e7, True),
+    Column("rh_pct", 0, 100, True),
+    Column("pos_x_mm", -1e5, 1e5, True),
+    Column("operator", may_be_empty=True, text=True),
 )
 
 
@@ -177,22 +168,6 @@ class LoadedBlock(Block):
         return load, self.at_rest.with_load(load), self.in_motion.with_load(load)
 
 
-def contacts_of(
-    rows: pd.DataFrame, static: np.ndarray, load_N: np.ndarray, area_m2: np.ndarray
-) -> tuple[Contact, Contact]:
-    """Contacts of features at rest and in motion; ``rows`` keep the covariates of their own kind.
-
-    ``rows`` have the rest before the pull and the speed of every run; ``static`` (n,) features tell
-    of friction at rest.
-    """
-    shared = {"normal_force_N": load_N, "area_m2": area_m2, **conditions_of(rows)}
-    dwell, speed = (rows[name].to_numpy(float) for name in ("dwell_s", "speed_mm_s"))
-    rows["static"] = static
-    rows["dwell_s"] = np.where(static, dwell, np.nan)
-    rows["speed_mm_s"] = np.where(static, np.nan, speed)
-    return Contact(dwell_s=dwell, **shared), Contact(speed_m_s=1e-3 * speed, **shared)
-
-
 def masses_of(runs: pd.DataFrame, nominal: Mapping[str, float]) -> tuple[np.ndarray, np.ndarray]:
     """Masses of the cloth and of what lies on it, by run, kg.
 
@@ -201,6 +176,35 @@ def masses_of(runs: pd.DataFrame, nominal: Mapping[str, float]) -> tuple[np.ndar
     area_m2 = np.nan_to_num(runs["area_cm2"].to_numpy(float)) * 1e-4
     cloth = nominal.get("rho_kg_m2", 0.0) * area_m2
     return cloth, runs["added_mass_g"].to_numpy(float) * 1e-3
+
+
+def loaded(
+    runs: pd.DataFrame, nominal: Mapping[str, float], index, rows: pd.DataFrame, static: np.ndarray
+) -> tuple[Contact, Contact, np.ndarray, np.ndarray]:
+    """Contacts of features at rest and in motion, and their masses as :func:`masses_of`, (n,) each.
+
+    ``index`` are the features' runs. ``static`` (n,) features tell of friction at rest; ``rows``
+    have the rest before the pull and the speed of every run, and keep those of their own kind.
+    """
+    cloth, added = (mass[index] for mass in masses_of(runs, nominal))
+    area = runs["area_cm2"].to_numpy(float)[index] * 1e-4
+    shared = {
+        "normal_force_N": (cloth + added) * GRAVITY_M_S2,
+        "area_m2": np.where(np.isnan(area), USUAL_AREA_M2, area),
+        **conditions_of(rows),
+    }
+    dwell, speed = (rows[name].to_numpy(float) for name in ("dwell_s", "speed_mm_s"))
+    at_rest, in_motion = Contact(dwell_s=dwell, **shared), Contact(speed_m_s=1e-3 * speed, **shared)
+    told_by(rows, static)
+    rows["load_ratio"] = np.where(np.isnan(area), np.nan, at_rest.load_ratio())
+    return at_rest, in_motion, cloth, added
+
+
+def told_by(rows: pd.DataFrame, static: np.ndarray) -> None:
+    """Mark the features of friction at rest; rests and speeds stay where they act."""
+    rows["static"] = static
+    rows["dwell_s"] = np.where(static, rows["dwell_s"], np.nan)
+    rows["speed_mm_s"] = np.where(static, np.nan, rows["speed_mm_s"])
 
 
 def sampled(value: np.ndarray, grid_step: np.ndarray, grid_point: np.ndarray) -> np.ndarray:

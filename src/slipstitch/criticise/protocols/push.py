@@ -16,7 +16,6 @@ import pandas as pd
 from slipstitch.criticise.causes import Bench
 from slipstitch.criticise.protocols import protocol
 from slipstitch.criticise.traces import Signal
-from slipstitch.physics import GRAVITY_M_S2
 
 LEVEL, PEAK = "push_level_mN", "push_peak_mN"
 # A block that turns needs less force: only near-translations are read.
@@ -104,8 +103,7 @@ def features(tables, nominal, measured) -> PushBlock | None:
     runs = runs[straight].reset_index(drop=True)
     if not len(runs):
         return None
-    cloth, added = protocol.masses_of(runs, nominal)
-    mass, speed = cloth + added, runs["speed_mm_s"].to_numpy(float) * 1e-3
+    mass, speed = sum(protocol.masses_of(runs, nominal)), runs["speed_mm_s"].to_numpy(float) * 1e-3
     u = runs["u_force_mN"].to_numpy(float)
     stiffness = np.full(len(runs), USUAL_STIFFNESS_N_M)
     if measured:
@@ -119,13 +117,8 @@ def features(tables, nominal, measured) -> PushBlock | None:
         return None
     index, rows = protocol.feature_rows(protocol.covariates_of(runs, "push_azimuth_deg"), lines)
     static = (rows["quantity"] == PEAK).to_numpy()
-    known = runs["area_cm2"].notna().to_numpy()[index]
-    area = np.where(known, runs["area_cm2"].to_numpy(float)[index] * 1e-4, protocol.USUAL_AREA_M2)
-    at_rest, in_motion = protocol.contacts_of(rows, static, mass[index] * GRAVITY_M_S2, area)
-    rows["load_ratio"] = np.where(known, at_rest.load_ratio(), np.nan)
-    return PushBlock(
-        "push", rows, at_rest, in_motion, cloth[index], added[index], stiffness[index], speed[index]
-    )
+    under_load = protocol.loaded(runs, nominal, index, rows, static)
+    return PushBlock("push", rows, *under_load, stiffness[index], speed[index])
 
 
 def _features(readings, u, mass, speed, stiffness) -> list[tuple]:
@@ -155,20 +148,20 @@ PUSH = protocol.Protocol(
         "push_runs": (
             *protocol.RUN_COLUMNS,
             protocol.azimuth("push_azimuth_deg"),
-            protocol.text("support"),
-            protocol.number("area_cm2", 1e-3, 1e5, True, usual=50.0),
-            protocol.number("added_mass_g", 0, 1e5, usual=500.0),
-            protocol.number("speed_mm_s", 1e-6, 1e4, usual=3.0),
-            protocol.number("turned_deg", *protocol.ANGLE_DEG, True),
-            protocol.number("moved_mm", 0, 1e5, True),
-            protocol.number("quiet_s", 0, 1e4, True),
-            protocol.number("u_force_mN", 1e-6, 1e5, usual=5.0),
+            protocol.Column("support", may_be_empty=True, text=True),
+            protocol.Column("area_cm2", 1e-3, 1e5, True, usual=50.0),
+            protocol.Column("added_mass_g", 0, 1e5, usual=500.0),
+            protocol.Column("speed_mm_s", 1e-6, 1e4, usual=3.0),
+            protocol.Column("turned_deg", *protocol.ANGLE_DEG, True),
+            protocol.Column("moved_mm", 0, 1e5, True),
+            protocol.Column("quiet_s", 0, 1e4, True),
+            protocol.Column("u_force_mN", 1e-6, 1e5, usual=5.0),
         ),
         "push": (
-            protocol.text("run_id", may_be_empty=False),
-            protocol.number("t_s", -1e7, 1e7),
-            protocol.number("force_x_mN", -1e7, 1e7),
-            protocol.number("force_y_mN", -1e7, 1e7),
+            protocol.RUN_ID,
+            protocol.Column("t_s", -1e7, 1e7),
+            protocol.Column("force_x_mN", -1e7, 1e7),
+            protocol.Column("force_y_mN", -1e7, 1e7),
         ),
     },
     nominal=(),

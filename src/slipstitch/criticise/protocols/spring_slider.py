@@ -306,8 +306,7 @@ def features(tables, nominal, measured) -> SpringSliderBlock | None:
     """Features of every run; without traces, the quantities of the design."""
     runs = tables["spring_slider_runs"]
     traces = tables.get("spring_slider") if measured else None
-    cloth, added = protocol.masses_of(runs, nominal)
-    mass = cloth + added
+    mass = sum(protocol.masses_of(runs, nominal))
     spring = runs["spring_N_m"].to_numpy(float)
     speed = runs["speed_mm_s"].to_numpy(float) * 1e-3
     u = runs["u_force_mN"].to_numpy(float)
@@ -334,20 +333,14 @@ def features(tables, nominal, measured) -> SpringSliderBlock | None:
         return None
     index, rows = protocol.feature_rows(protocol.covariates_of(runs, "stage_azimuth_deg"), lines)
     static = (rows["quantity"] != LEVEL).to_numpy()
-    load, known = mass[index] * GRAVITY_M_S2, runs["area_cm2"].notna().to_numpy()[index]
-    area = np.where(known, runs["area_cm2"].to_numpy(float)[index] * 1e-4, protocol.USUAL_AREA_M2)
-    at_rest, in_motion = protocol.contacts_of(rows, static, load, area)
+    under_load = protocol.loaded(runs, nominal, index, rows, static)
     # The stick that a usual excess would make: the measured one grows with the drop itself.
-    stick = 2 * USUAL_EXCESS * load / (spring * speed)[index]
+    stick = (2 * USUAL_EXCESS * mass * GRAVITY_M_S2 / (spring * speed))[index]
     rows["dwell_s"] = np.where(rows["quantity"] == SWING, stick, rows["dwell_s"])
-    rows["load_ratio"] = np.where(known, at_rest.load_ratio(), np.nan)
     block = SpringSliderBlock(
         "spring_slider",
         rows,
-        at_rest,
-        in_motion,
-        cloth[index],
-        added[index],
+        *under_load,
         spring[index],
         speed[index],
         np.where(static, of_tracks[index], 0.0),
@@ -364,16 +357,16 @@ SPRING_SLIDER = protocol.Protocol(
         "spring_slider_runs": (
             *protocol.RUN_COLUMNS,
             protocol.azimuth("stage_azimuth_deg"),
-            protocol.number("area_cm2", 1e-3, 1e5, True, usual=50.0),
-            protocol.number("added_mass_g", 0, 1e5, usual=50.0),
-            protocol.number("spring_N_m", 1e-3, 1e7, usual=200.0),
-            protocol.number("speed_mm_s", 1e-6, 1e4, usual=1.0),
-            protocol.number("u_force_mN", 1e-6, 1e5, usual=0.5),
+            protocol.Column("area_cm2", 1e-3, 1e5, True, usual=50.0),
+            protocol.Column("added_mass_g", 0, 1e5, usual=50.0),
+            protocol.Column("spring_N_m", 1e-3, 1e7, usual=200.0),
+            protocol.Column("speed_mm_s", 1e-6, 1e4, usual=1.0),
+            protocol.Column("u_force_mN", 1e-6, 1e5, usual=0.5),
         ),
         "spring_slider": (
-            protocol.text("run_id", may_be_empty=False),
-            protocol.number("t_s", -1e7, 1e7),
-            protocol.number("force_mN", -1e7, 1e7),
+            protocol.RUN_ID,
+            protocol.Column("t_s", -1e7, 1e7),
+            protocol.Column("force_mN", -1e7, 1e7),
         ),
     },
     nominal=(),

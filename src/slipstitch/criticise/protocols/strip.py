@@ -155,15 +155,13 @@ STRIP = protocol.Protocol(
         "strip": (
             *protocol.RUN_COLUMNS,
             protocol.azimuth("azimuth_deg"),
-            protocol.number("length_mm", 1, 1e4, usual=45.0),
-            protocol.number("width_mm", 0.1, 1e4, usual=12.0),
-            protocol.number("ply", 1, 100, usual=1.0),
-            protocol.number("push_speed_mm_s", 0, 1e4, True, usual=0.5),
-            protocol.number("eps_slip", -0.2, 1.0, measured=True),
-            protocol.number("u_eps", 1e-6, 0.5, usual=0.004),
-            protocol.text(
-                "regime", may_be_empty=False, choices=("slipped", "partial"), measured=True
-            ),
+            protocol.Column("length_mm", 1, 1e4, usual=45.0),
+            protocol.Column("width_mm", 0.1, 1e4, usual=12.0),
+            protocol.Column("ply", 1, 100, usual=1.0),
+            protocol.Column("push_speed_mm_s", 0, 1e4, True, usual=0.5),
+            protocol.Column("eps_slip", -0.2, 1.0, measured=True),
+            protocol.Column("u_eps", 1e-6, 0.5, usual=0.004),
+            protocol.Column("regime", text=True, choices=("slipped", "partial"), measured=True),
         )
     },
     nominal=("rho_kg_m2", "B_strip_Nm", "ply_exponent", "thickness_m"),

@@ -13,6 +13,7 @@ from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.covariates import COVARIATES
 from slipstitch.criticise.inference.discrepancy import along, specimen_factors
 from slipstitch.criticise.inference.fit import Fit
+from slipstitch.criticise.inference.mixed_model import total_variance
 from slipstitch.criticise.protocols import QUANTITIES
 from slipstitch.criticise.verdict import Analysis
 
@@ -21,7 +22,6 @@ COLUMNS = 3  # of the picture of all covariates
 MOST_LABELS = 6
 SHOWN_RUNS = 3
 MODELS = {"null": (VERMILION, "plain Coulomb"), "extended": (BLUE, "extended law")}
-USUAL_SCATTER = (0.05, 0.03, 1.2)
 
 
 def _figure(width: float = 6.4, height: float = 3.4) -> tuple[Figure, Axes]:
@@ -64,10 +64,7 @@ def relative_residuals(analysis: Analysis, fitted: Fit) -> tuple[np.ndarray, np.
 def standardised_residuals(analysis: Analysis, fitted: Fit) -> np.ndarray:
     """Residuals over their own total standard deviation."""
     m, state = analysis.measurements, analysis.state
-    known = {name: (s.specimen, s.run, s.kappa) for name, s in state.scatters.items()}
-    scatter = np.array([known.get(name, USUAL_SCATTER) for name in m.protocol])
-    of_friction = scatter[:, 0] ** 2 + scatter[:, 1] ** 2
-    variance = (scatter[:, 2] * m.u) ** 2 + state.sensitivity**2 * of_friction
+    variance = total_variance(m.protocol, m.u, state.sensitivity, state.scatters)
     return (m.y - fitted.prediction) / np.sqrt(variance)
 
 
@@ -258,7 +255,7 @@ def discrepancy_picture(found: dict, analysis: Analysis) -> Figure:
     low, high = (along(found, plain, band) for band in np.array(found["ci95"]).T)
     axes.fill_between(plain, low, high, color=INTERVAL, label="95 %")
     axes.plot(plain, along(found, plain, found["factors"]), color=INK, lw=2, label="smooth factor")
-    points = specimen_factors(found, analysis.measurements, analysis.null, analysis.null_state)
+    points = specimen_factors(found, analysis.measurements, analysis.null_state)
     for colour, (protocol, own) in zip(SERIES, points.groupby("protocol"), strict=False):
         axes.plot(own["at"], own["factor"], "o", ms=4, mew=0, alpha=0.6, color=colour)
         axes.plot([], [], "o", ms=4, color=colour, label=f"specimens of {protocol}")
