@@ -5,11 +5,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.criticised import judged, measured
-from support.departures import draw_plan
-from support.departures.campaign import write
+from support.criticised import change_meta, judged, measured
+from support.departures import planted
 from support.departures.strength import SLIDE_MM, STROKE_MM, TRAVEL_MM
-from support.hidden_effects.bench import make_case
 
 from slipstitch.base.errors import BadInput
 from slipstitch.criticise.case import read_case
@@ -20,7 +18,7 @@ from slipstitch.criticise.verdict import SIGNIFICANCE, analyse
 
 
 def test_an_effect_well_above_the_smallest_detectable_is_seen_and_one_far_below_is_not(tmp_path):
-    make_case(93, "null", tmp_path / "null", plant=({}, ["incline"]))
+    planted(93, tmp_path / "null", {}, "incline")
     null = judged(tmp_path / "null")
     assert null.verdict == "none"
     smallest = null.detectable["nap"].size
@@ -28,8 +26,7 @@ def test_an_effect_well_above_the_smallest_detectable_is_seen_and_one_far_below_
     assert smallest <= null.detectable["nap"].named < np.inf
     for factor, seen in ((2.0, True), (0.2, False)):
         folder = tmp_path / f"{factor}"
-        effects = {"nap": {"nap": factor * smallest}}
-        make_case(93, "single", folder, plant=(effects, ["incline"]))
+        planted(93, folder, {"nap": factor * smallest}, "incline")
         found = judged(folder)
         assert (found.global_p < SIGNIFICANCE) == seen
 
@@ -43,10 +40,10 @@ def power(folder, replicates=100):
 
 
 def test_more_trials_show_smaller_effects_and_none_shows_what_nothing_would(tmp_path):
-    make_case(93, "null", tmp_path, plant=({}, ["incline"]))
+    planted(93, tmp_path, {}, "incline")
     table = tmp_path / "incline.csv"
     lines = table.read_text().splitlines()
-    table.write_text("\n".join(lines[:13]) + "\n")
+    table.write_text("\n".join(lines[:31]) + "\n")
     few = power(tmp_path)
     table.write_text("\n".join(lines) + "\n")
     all_ = power(tmp_path)
@@ -57,50 +54,35 @@ def test_more_trials_show_smaller_effects_and_none_shows_what_nothing_would(tmp_
     assert "backlash" not in all_
 
 
-# What tables of runs do not tell of the bench of departures, and null campaigns of one protocol.
-TOLD = {
-    "incline": lambda plan: {},
-    "strip": lambda plan: {},
-    "drag": lambda plan: {
-        "drag_stroke_mm": STROKE_MM,
-        "drag_step_mm": plan.sampling_mm,
-        "drag_texture_sd": plan.grain[0],
-        "drag_texture_mm": plan.grain[1],
-    },
-    "drop_drag": lambda plan: {
-        "drop_drag_stroke_mm": TRAVEL_MM,
-        "drop_drag_step_mm": plan.frame_mm,
-    },
-    "spring_slider": lambda plan: {"slider_travel_mm": SLIDE_MM, "slider_texture_sd": 1e-6},
-}
+def told(plan):
+    """What tables of runs do not tell of the bench of departures."""
+    sd, length_mm = plan.grain
+    return {
+        "drag": {
+            "drag_stroke_mm": STROKE_MM,
+            "drag_step_mm": plan.sampling_mm,
+            "drag_texture_sd": sd,
+            "drag_texture_mm": length_mm,
+        },
+        "drop_drag": {"drop_drag_stroke_mm": TRAVEL_MM, "drop_drag_step_mm": plan.frame_mm},
+        "spring_slider": {"slider_travel_mm": SLIDE_MM, "slider_texture_sd": 1e-6},
+    }.get(plan.protocols[0], {})
 
 
 @pytest.mark.parametrize(
-    ("seed", "protocol"),
-    [
-        (2118, "incline"),
-        (2056, "strip"),
-        (2055, "drag"),
-        (2108, "drop_drag"),
-        (2046, "spring_slider"),
-    ],
-)
+    "seed, protocol",
+    [(2118, "incline"), (2056, "strip"), (2055, "drag"), (2108, "drop_drag"),
+     (2046, "spring_slider")],
+)  # fmt: skip
 def test_a_design_says_before_it_is_measured_what_its_campaign_says_after(tmp_path, seed, protocol):
-    plan = draw_plan(seed, "null", False)
-    assert plan.protocols == (protocol,)
-    write(plan, tmp_path)
+    plan = planted(seed, tmp_path, {}, protocol)
     after = judged(tmp_path)
     # The same scatter: how large it is, no design tells.
     scatter = after.null_state.scatters[protocol]
-    meta = json.loads((tmp_path / "meta.json").read_text())
     coefficient = "mu_edge" if protocol == "strip" else "mu_face"
-    meta["design"] = TOLD[protocol](plan) | {
-        coefficient: getattr(plan, coefficient),
-        "scatter_specimen": scatter.specimen,
-        "scatter_run": scatter.run,
-        "noise_factor": scatter.kappa,
-    }
-    (tmp_path / "meta.json").write_text(json.dumps(meta))
+    assumed = ("scatter_specimen", "scatter_run", "noise_factor")
+    design = told(plan) | dict(zip(assumed, scatter, strict=True))
+    change_meta(tmp_path, design=design | {coefficient: getattr(plan, coefficient)})
     before = power(tmp_path)
     assert set(before) == set(after.detectable)
     assert sum(np.isfinite(found.size) for found in before.values()) >= 6
@@ -110,29 +92,29 @@ def test_a_design_says_before_it_is_measured_what_its_campaign_says_after(tmp_pa
 
 
 def test_power_says_what_it_assumed_and_refuses_what_is_no_assumption(tmp_path):
-    make_case(93, "null", tmp_path, plant=({}, ["drag"]))
+    planted(93, tmp_path, {}, "drag")
     (tmp_path / "drag.csv").unlink()
-    meta = json.loads((tmp_path / "meta.json").read_text())
 
     def said(**design):
-        (tmp_path / "meta.json").write_text(json.dumps(meta | {"design": design}))
+        change_meta(tmp_path, design=design)
         case = read_case(tmp_path, with_measurements=False)
         return power_to_file(case, 1, 50, tmp_path / "power.json")
 
     assert "drag_stroke_mm: 70 mm" in said(drag_stroke_mm=70)
     assumed = json.loads((tmp_path / "power.json").read_text())["assumed"]
     assert assumed["drag_stroke_mm"] == 70 and "drop_drag_stroke_mm" not in assumed
-    with pytest.raises(BadInput, match=r"design\.stroke: unknown"):
-        said(stroke=70)
-    with pytest.raises(BadInput, match=r"design\.mu_face: 30; must be between 0\.005 and 8"):
-        said(mu_face=30)
-    with pytest.raises(BadInput, match=r"design\.mu_face: True; must be a positive number"):
-        said(mu_face=True)
+    for design, words in (
+        ({"stroke": 70}, r"design\.stroke: unknown"),
+        ({"mu_face": 30}, r"design\.mu_face: 30; must be between 0\.005 and 8"),
+        ({"mu_face": True}, r"design\.mu_face: True; must be a positive number"),
+    ):
+        with pytest.raises(BadInput, match=words):
+            said(**design)
 
 
 @pytest.mark.slow
 def test_false_alarms_are_counted_in_campaigns_that_hold_nothing(tmp_path):
-    make_case(93, "null", tmp_path, plant=({}, ["incline"]))
+    planted(93, tmp_path, {}, "incline")
     m = measured(tmp_path)
     null = analyse(m, replicates=50)
     scatters = null.null_state.scatters

@@ -7,8 +7,8 @@ import json
 
 import pytest
 import yaml
+from support.cloth_bench import make_campaign
 from support.criticised import verdict_on
-from support.hidden_effects.cloth_bench import make_campaign
 
 from slipstitch.cli.main import main
 from slipstitch.criticise.case import read_case

@@ -9,16 +9,15 @@ import pandas as pd
 import pytest
 import yaml
 from support.criticised import measured
-from support.hidden_effects.bench import make_case
+from support.departures import planted
 
 from slipstitch.base.errors import BadInput
 from slipstitch.criticise.case import read_case
-from slipstitch.criticise.criticism_files import Paths, criticise_to_files
+from slipstitch.criticise.criticism_files import criticise_to_files
 from slipstitch.criticise.inference.discrepancy import discrepancy_words, embedded_discrepancy
 from slipstitch.criticise.inference.faulty_data import robust_fit
 from slipstitch.criticise.inference.gain import plain_scatters
 from slipstitch.criticise.inference.smooth_factor import Problem
-from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.prediction import predict_model, read_verdict
 from slipstitch.criticise.resimulation import law_of_run
 from slipstitch.physics.friction_law import Contact
@@ -45,16 +44,29 @@ PLANTED = {
 STRIBECK = PLANTED["a dip at one speed"]
 
 
-def planted_case(folder, seed, planted):
-    effects = {"smooth": {"along": planted[0], "law": planted[1]}} if planted[0] else {}
-    make_case(seed, "outside", folder, plant=(effects, planted[2]))
-    return read_case(folder)
+def along(covariate, law):
+    """A law along a covariate, as the bench asks for it."""
+    places = {"pos_x_mm": "place_mm"}
+
+    def factor(contact, moving):
+        if covariate == "load_ratio":
+            return law(contact["load_N"] / contact["area_m2"] / 50.0)
+        acts = moving or covariate != "speed_mm_s"
+        return law(contact[places.get(covariate, covariate)]) if acts else 1.0
+
+    return factor
 
 
-def discrepancy(folder, seed, planted):
-    m = assemble(planted_case(folder, seed, planted))
-    null, state = robust_fit(m)
-    return m, state, embedded_discrepancy(m, null, state)
+def measured_with(folder, seed, covariate, law, protocols, repeat=0):
+    effects = {"smooth": along(covariate, law)} if covariate else {}
+    planted(seed, folder, effects, *protocols, repeat=repeat)
+    return measured(folder)
+
+
+def discrepancy(folder, seed, along):
+    m = measured_with(folder, seed, *along)
+    state = robust_fit(m)
+    return m, state, embedded_discrepancy(m, state)
 
 
 @pytest.mark.parametrize("name", PLANTED)
@@ -116,10 +128,10 @@ def test_coefficients_and_scatter_that_go_to_and_fro_are_damped(tmp_path):
 
 
 def test_an_effect_of_no_covariate_is_no_factor(tmp_path):
-    make_case(7, "outside", tmp_path, plant=({"operator": {"size": 0.3}}, ["incline"]))
+    planted(7, tmp_path, {"operator_habit": 0.3}, "incline")
     m = measured(tmp_path)
-    null, state = robust_fit(m)
-    assert embedded_discrepancy(m, null, state)["covariate"] is None
+    state = robust_fit(m)
+    assert embedded_discrepancy(m, state)["covariate"] is None
 
 
 @pytest.mark.parametrize(
@@ -148,8 +160,10 @@ def test_no_formula_is_proposed_for_a_patch(tmp_path):
 
 
 def test_verdict_page_and_model_hold_the_factor_and_a_simulation_reads_it(tmp_path):
-    paths = Paths(tmp_path / "v.json", page=tmp_path / "p.html", model=tmp_path / "m.yaml")
-    words = criticise_to_files(planted_case(tmp_path / "case", SEED, STRIBECK), 1, 200, paths)
+    paths = {"verdict": "v.json", "page": "p.html", "model": "m.yaml"}
+    paths = {kind: tmp_path / name for kind, name in paths.items()}
+    measured_with(tmp_path / "case", SEED, *STRIBECK)
+    words = criticise_to_files(read_case(tmp_path / "case"), 1, 200, paths)
     assert "no known mechanism explains" in words
     verdict = json.loads((tmp_path / "v.json").read_text())
     assert verdict["verdict"] == "unknown"
@@ -169,27 +183,19 @@ def test_verdict_page_and_model_hold_the_factor_and_a_simulation_reads_it(tmp_pa
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["a dip at one speed", "a patch"])
 def test_a_fresh_campaign_is_predicted_better_with_the_factor(name, tmp_path):
-    planted = PLANTED[name]
-    m = assemble(planted_case(tmp_path / "first", SEED, planted))
-    null, state = robust_fit(m)
-    found = embedded_discrepancy(m, null, state)
-    analysis = SimpleNamespace(measurements=m, state=state)
+    m = measured_with(tmp_path / "first", SEED, *PLANTED[name])
+    state = robust_fit(m)
+    found, null = embedded_discrepancy(m, state), state.fitted
     model = {
         "causes": [],
         "parameters": [p.name for p in null.parameters],
-        "values": list(null.values),
+        "values": null.values,
         "covariance": null.covariance,
-        "scatter": {
-            protocol: [s.specimen, s.run, s.kappa]
-            for protocol, s in plain_scatters(analysis, null).items()
-        },
+        "scatter": plain_scatters(SimpleNamespace(measurements=m, state=state), null),
     }
-    effects = {"smooth": {"along": planted[0], "law": planted[1]}}
     scores, within = {None: [], "factor": []}, []
     for draw in (1, 2, 3):
-        folder = tmp_path / str(draw)
-        make_case(SEED, "outside", folder, plant=(effects, planted[2]), draw=draw)
-        fresh = measured(folder)
+        fresh = measured_with(tmp_path / str(draw), SEED, *PLANTED[name], repeat=draw)
         for key, table in ((None, None), ("factor", found)):
             mean, sd = (x[~fresh.lower_bound] for x in predict_model(model, fresh, table))
             z = (fresh.y[~fresh.lower_bound] - mean) / sd

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import yaml
 from support.criticised import verdict_on
-from support.hidden_effects.bench import make_case
+from support.departures import planted
 
 from slipstitch.cli.main import main
 from slipstitch.criticise.case import read_case
@@ -51,7 +51,7 @@ def test_a_tilt_is_at_its_bound_with_one_of_its_components():
 
 
 def test_a_cause_that_is_hardly_known_is_named_and_marked_but_not_exported(tmp_path, capsys):
-    make_case(19, "single", tmp_path, plant=({"wear": {"wear": 0.4, "r0": 9.0}}, ["incline"]))
+    planted(19, tmp_path, {"wear": {"wear": 0.6, "wear_r0": 36.0}}, "incline")
     model, names = tmp_path / "m.yaml", ("p.md", "p.html")
     words = ["criticise", str(tmp_path), "--out", str(tmp_path / "v.json"), "--replicates", "100"]
     for name in names:
@@ -75,7 +75,7 @@ def test_a_cause_that_is_hardly_known_is_named_and_marked_but_not_exported(tmp_p
 
 
 def test_a_tilt_that_is_known_is_exported_with_an_azimuth_within_a_turn(tmp_path):
-    make_case(19, "single", tmp_path, plant=({"tilt": {"tilt": 2.5, "azimuth": 30.0}}, ["incline"]))
+    planted(19, tmp_path, {"tilt": {"tilt": 2.5, "tilt_azimuth": 30.0}}, "incline")
     verdict, analysis = verdict_on(tmp_path)
     assert verdict["not_exported"] == {}
     assert set(extended_model(verdict)["bench"]) == {"tilt_along_rad", "tilt_across_rad"}

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.criticised import measured
-from support.hidden_effects.bench import make_case
+from support.departures import planted
 
 from slipstitch.criticise.inference import structure
 from slipstitch.criticise.inference.faulty_data import robust_fit
@@ -56,13 +56,13 @@ def test_free_and_shrunken_columns_enter_the_likelihood_as_they_should(group):
 
 @pytest.mark.slow
 def test_another_protocol_takes_no_evidence_away(tmp_path):
-    patch = {"patch": {"size": -0.29, "at": 100.0, "width": 18.0}}
+    patch = {"patch": {"patch": -0.29, "centre_mm": 100.0, "width_mm": 45.0}}
     evidence = {}
     for protocols in (["strip"], ["strip", "drop_drag"]):
         folder = tmp_path / "-".join(protocols)
-        make_case(51, "outside", folder, plant=(patch, protocols))
+        planted(51, folder, patch, *protocols)
         measurements = measured(folder)
-        _, state = robust_fit(measurements)
+        state = robust_fit(measurements)
         outcome = state.outcome(np.random.default_rng(1), 100)
         evidence[len(protocols)] = outcome.global_p
         strongest = outcome.tests[outcome.strongest("generic")]

@@ -5,7 +5,6 @@ import pandas as pd
 import pytest
 from support import departures
 from support.criticised import change, judged, measured, verdict_on
-from support.hidden_effects.bench import make_case
 
 from slipstitch.criticise.inference.rivals import rivals_of
 from slipstitch.criticise.statement import sentence
@@ -13,7 +12,7 @@ from slipstitch.criticise.statement import sentence
 
 @pytest.mark.slow
 def test_a_drift_in_a_session_sorted_by_humidity_is_not_blamed_on_it(tmp_path):
-    make_case(93, "null", tmp_path, plant=({}, ["incline"]))
+    departures.planted(93, tmp_path, {}, "incline")
     table = pd.read_csv(tmp_path / "incline.csv")
     clock = np.sort(table["clock_min"].to_numpy())
     table = table.sort_values("rh_pct", kind="stable").reset_index(drop=True)
@@ -47,15 +46,13 @@ def test_no_mechanism_stands_for_a_law_outside_the_library(seed, law, tmp_path):
 
 @pytest.mark.slow
 def test_memory_of_the_load_before_is_not_blamed_on_the_load(tmp_path):
-    plan = departures.draw_plan(9705, "null", False)
-    plan.effects = {"memory": {"memory": 0.2}}
-    departures.campaign.write(plan, tmp_path)
+    departures.planted(9705, tmp_path, {"memory": 0.2}, "incline", "strip")
     analysis = judged(tmp_path)
     assert analysis.verdict in ("confounded", "unknown"), analysis.causes
 
 
 def test_rivals_are_finite_where_single_rests_and_loads_are_unknown(tmp_path):
-    make_case(93, "null", tmp_path, plant=({}, ["incline"]))
+    departures.planted(93, tmp_path, {}, "incline")
     change(tmp_path / "incline.csv", dwell_s=lambda t: t["dwell_s"].where(t.index % 3 != 0))
     rivals = rivals_of(measured(tmp_path))
     assert {rival.name for rival in rivals} == {"time_in_session", "place", "run_before"}

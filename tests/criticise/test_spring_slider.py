@@ -7,8 +7,7 @@ import pandas as pd
 import pytest
 from support import departures
 from support.criticised import judged, measured
-from support.hidden_effects.bench import make_case
-from support.stick_slip_events import run
+from support.departures import planted
 
 from slipstitch.cli.main import main
 from slipstitch.criticise.protocols import spring_slider
@@ -17,47 +16,23 @@ from slipstitch.physics.friction_law import Contact, FrictionLaw
 
 SLIDER = Slider(mass_kg=0.06, spring_N_m=200.0, speed_m_s=0.002)
 LOAD_N = 0.6
-LAWS = {
-    "static excess": FrictionLaw(0.4, {"static_kinetic": {"static_kinetic": 0.2}}),
-    "ageing": FrictionLaw(
-        0.4, {"static_kinetic": {"static_kinetic": 0.1}, "ageing": {"ageing": 0.08}}
-    ),
-    "none": FrictionLaw(0.4),
-}
 
 
-@pytest.fixture(scope="module")
-def case(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("slider")
-    make_case(
-        3, "single", folder, plant=({"static_kinetic": {"static_kinetic": 0.15}}, ["spring_slider"])
-    )
-    return folder
-
-
-@pytest.mark.parametrize("law", LAWS.values(), ids=LAWS)
-def test_the_steady_cycle_is_that_of_the_event_solver(law):
+@pytest.mark.parametrize("excess, ageing", [(0.2, 0.0), (0.1, 0.08), (0.0, 0.0)])
+def test_the_steady_cycle_is_that_of_the_energy_balance(excess, ageing):
+    """The bench integrates the motion as well, which agrees with its energy balance."""
+    effects = {"static_kinetic": {"static_kinetic": excess}, "ageing": {"ageing": ageing}}
     contact = Contact(LOAD_N, dwell_s=30.0, speed_m_s=SLIDER.speed_m_s)
-    cycle = steady_cycle(SLIDER, law, contact, contact)
-    kinetic = float(law.force_limit(contact, static=False))
-    events = run(
-        SLIDER,
-        lambda place, stick: float(law.force_limit(Contact(LOAD_N, dwell_s=stick), static=True)),
-        lambda place: kinetic,
-        0.0,
-        0.02,
-    )
-    half = 0.5 * (events.peak_N[-1] - events.trough_N[-1])
-    assert cycle.swing_N == pytest.approx(half, rel=1e-6)
-    assert cycle.stick_s == pytest.approx(events.stick_s[-1], abs=1e-6)
+    cycle = steady_cycle(SLIDER, FrictionLaw(0.4, effects), contact, contact)
+    of_bench = {"orientation_deg": 0.0, "area_m2": 1e-3, "rh_pct": 50.0, "place_mm": 0.0}
+    of_bench |= {"mass_kg": SLIDER.mass_kg, "spring_N_m": SLIDER.spring_N_m, "speed_mm_s": 2.0}
+    level, half = departures.spring_slider.levels(of_bench, 0.4, effects, (LOAD_N, 0.0))
+    assert 1e3 * cycle.level_N == pytest.approx(level)
+    assert 1e3 * cycle.swing_N == pytest.approx(half, rel=1e-6)
+    inertial = SLIDER.speed_m_s * np.sqrt(SLIDER.spring_N_m * SLIDER.mass_kg)
+    stick = 2 * np.sqrt(max((1e-3 * half) ** 2 - inertial**2, 0.0)) / 0.4
+    assert cycle.stick_s == pytest.approx(stick, abs=1e-6)
     assert cycle.first_swing_N >= cycle.swing_N - 1e-12
-
-
-def test_without_a_static_excess_inertia_alone_swings_the_force():
-    contact = Contact(LOAD_N, dwell_s=30.0, speed_m_s=SLIDER.speed_m_s)
-    cycle = steady_cycle(SLIDER, LAWS["none"], contact, contact)
-    assert cycle.swing_N == pytest.approx(SLIDER.speed_m_s * np.sqrt(200.0 * 0.06))
-    assert cycle.stick_s == 0.0
 
 
 def test_the_steady_trace_swings_as_far_as_it_says_and_loads_at_the_springs_rate():
@@ -70,36 +45,20 @@ def test_the_steady_trace_swings_as_far_as_it_says_and_loads_at_the_springs_rate
 
 
 def test_traces_integrated_in_time_steps_have_the_features_of_the_closed_form(tmp_path):
-    planted = {"static_kinetic": {"static_kinetic": 0.2}}
-    truth = make_case(1, "single", tmp_path, noise_free=True, plant=(planted, ["spring_slider"]))
+    none = {"noise": {"spring_slider": 1e-2}, "scatter": {"spring_slider": (0.0, 0.0)}}
+    none |= {"outliers": 0.0, "damping": 0.0}
+    plan = planted(1, tmp_path, {"static_kinetic": 0.2}, "spring_slider", **none)
     found = measured(tmp_path)
-    values = {"mu_face": np.log(truth["mu_face"]), "static_kinetic": 0.2}
+    values = {"mu_face": np.log(plan.mu_face), "static_kinetic": 0.2}
     expected = found.predict(values, ("static_kinetic",))
     assert set(found.rows["quantity"]) == {
         "slider_level_mN",
         "slider_swing_mN",
         "slider_first_swing_mN",
     }
-    assert found.y == pytest.approx(expected, rel=6e-3)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "seed, name, size", [(3, "static_kinetic", 0.15), (4, "ageing", 0.06)], ids=lambda x: str(x)
-)
-def test_a_planted_effect_is_named_and_sized(seed, name, size, tmp_path):
-    make_case(seed, "single", tmp_path, plant=({name: {name: size}}, ["spring_slider"]))
-    analysis = judged(tmp_path, 200)
-    assert (analysis.verdict, analysis.causes) == ("cause", (name,))
-    low, high = analysis.intervals(analysis.chosen.fitted).of_sizes()[name]["ci95"]
-    slack = 0.75 * (high - low)
-    assert low - slack <= size <= high + slack
-
-
-@pytest.mark.slow
-def test_drops_that_inertia_makes_are_no_effect(tmp_path):
-    make_case(2, "null", tmp_path, plant=({}, ["spring_slider"]))
-    assert judged(tmp_path, 300).verdict == "none"
+    assert np.median(np.abs(found.y / expected - 1)) < 3e-3
+    # A run with one or two slips does not tell what reading does to them.
+    assert found.y == pytest.approx(expected, rel=0.03)
 
 
 @pytest.mark.slow
@@ -112,7 +71,9 @@ def test_drops_of_an_uneven_track_are_no_static_friction(seed, tmp_path):
     assert not blamed & {"static_kinetic", "ageing"}
 
 
-def test_the_verbs_take_the_protocol(case, tmp_path):
+def test_the_verbs_take_the_protocol(tmp_path):
+    case = tmp_path / "case"
+    planted(3, case, {"static_kinetic": 0.15}, "spring_slider")
     verdict, out = tmp_path / "verdict.json", tmp_path / "predictions.csv"
     assert not main(["criticise", str(case), "--out", str(verdict)])
     assert json.loads(verdict.read_text())["causes"] == ["static_kinetic"]

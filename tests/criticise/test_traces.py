@@ -39,44 +39,25 @@ def slider_case(folder, samples=40, spoil=lambda trace: trace, seconds=5.0):
     return folder
 
 
-def drag_case(folder, samples=200, spoil=lambda trace: trace):
-    """Plain Coulomb friction, so many readings a stroke of 40 mm."""
-    rng, level = np.random.default_rng(2), 1e3 * KINETIC * LOAD_KG * 9.80665
-    way, parts = np.linspace(0.0, 40.0, samples), []
-    for i in range(RUNS):
-        out = np.minimum(60.0 * way, level)
-        back = np.maximum(level - 60.0 * way, -level)
-        trace = pd.DataFrame(
-            {
-                "run_id": f"r{i}",
-                "stroke": np.repeat([0, 1], samples),
-                "t_s": np.concatenate([way, 40.0 + way[1] + way]) / 10,
-                "x_stage_mm": np.concatenate([way, 40.0 - way]),
-                "v_mm_s": 10.0,
-                "force_mN": np.concatenate([out, back]) * (1 + 0.01 * (i % 3))
-                + rng.normal(0, 0.5, 2 * samples),
-            }
-        )
-        parts.append(spoil(trace))
-    folder.mkdir(parents=True, exist_ok=True)
-    pd.concat(parts).to_csv(folder / "drag.csv", index=False)
-    write_runs(folder, "drag", speed_mm_s=10.0, u_force_mN=0.5)
-    return folder
+def planned_case(name, rated=lambda samples: {}, **columns):
+    """A maker of a case as a plain bench would give it, what ``rated`` says assumed."""
 
-
-def planned_case(name, **columns):
-    """A maker of a case as a plain bench would give it."""
-
-    def make(folder, samples=None, spoil=lambda trace: trace):
+    def make(folder, samples=200, spoil=lambda trace: trace):
         folder.mkdir(parents=True, exist_ok=True)
         runs = write_runs(folder, name, **columns)
         assumed = {assumption.name: assumption.value for assumption in ASSUMPTIONS}
+        assumed |= {"mu_face": KINETIC} | rated(samples)
         readings = READINGS[name](runs, NOMINAL, assumed, np.random.default_rng(3))
         parts = [spoil(trace).assign(run_id=f"r{i}") for i, trace in enumerate(readings)]
         pd.concat(parts).to_csv(folder / f"{name}.csv", index=False)
         return folder
 
     return make
+
+
+def plain_drag(samples):
+    """So many readings a stroke, on an even track."""
+    return {"drag_stroke_mm": 40.0, "drag_step_mm": 40.0 / samples, "drag_texture_sd": 0.0}
 
 
 def write_runs(folder, name, **columns):
@@ -104,7 +85,7 @@ of_push |= {
 }
 MAKERS = {
     "spring_slider": slider_case,
-    "drag": drag_case,
+    "drag": planned_case("drag", plain_drag, speed_mm_s=10.0, u_force_mN=0.5),
     "push": planned_case("push", **of_push),
     "drop_drag": planned_case("drop_drag", height_mm=100.0, speed_mm_s=10.0, u_pos_mm=0.3),
 }
@@ -207,7 +188,7 @@ def test_bursts_at_one_time_are_refused_in_one_line(name, tmp_path):
 def test_two_recordings_of_a_stroke_in_one_run_are_refused(tmp_path):
     twice = lambda t: pd.concat([t[t["stroke"] == 0], t])  # noqa: E731
     with pytest.raises(BadInput, match="clock and stage both start again"):
-        read_case(drag_case(tmp_path / "case", spoil=twice))
+        read_case(MAKERS["drag"](tmp_path / "case", spoil=twice))
 
 
 def scaled(**factors):

@@ -5,49 +5,32 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
-from support.stick_slip_events import run
+from support.criticised import measured
+from support.departures import planted
 
 from slipstitch.cli.main import main
 from slipstitch.criticise import resimulation
 from slipstitch.criticise.case import read_case
 from slipstitch.criticise.measurements import assemble
-from slipstitch.criticise.protocols.stick_slip import Slider
 from slipstitch.criticise.resimulation import compare
 from slipstitch.criticise.statement import gain_words, sentence
-from slipstitch.criticise.within_runs import (
-    _Run,
-    _uneven_track,
-    departure,
-    track_step,
-    within_runs,
-    words,
-)
+from slipstitch.criticise.within_runs import departure, track_step, within_runs, words
 from slipstitch.physics.experiments.tracked_drag import TrackedShape
 
 CASES = Path(__file__).parents[2] / "data" / "cases"
-WEIGHT_N = 0.06 * 9.80665
 
 
-def slider_run(seed, uneven, static=0.1):
-    """Slips over a track with waves of 4 to 9 mm, event by event."""
-    random = np.random.default_rng(seed)
-    slider = Slider(0.06, [300.0, 800.0][seed % 2], [2e-4, 1e-3][seed // 2 % 2])
-    waves, phases = random.uniform(4e-3, 9e-3, 4), random.uniform(0, 6.28, 4)
+@pytest.mark.parametrize("uneven", [0.0, 0.05])
+def test_an_uneven_track_is_found_where_there_is_one(uneven, tmp_path):
+    random = np.random.default_rng(1)
+    waves, phases = random.uniform(4, 9, (4, 1)), random.uniform(0, 6.28, (4, 1))
 
-    def kinetic(x):
-        return WEIGHT_N * (0.4 + uneven * np.sin(2 * np.pi * x / waves + phases).sum())
+    def track(place_mm):
+        return 1 + uneven * np.sin(2 * np.pi * place_mm / waves + phases).sum(axis=0)
 
-    def held(x, _):
-        return kinetic(x) * (1 + static * random.uniform(0.7, 1.3))
-
-    events = run(slider, held, kinetic, 0.0, 0.02, most=400)
-    level = 0.5 * (events.peak_N + events.trough_N) / WEIGHT_N
-    return _Run(slider, events.place_m, level, 0.5 * (events.peak_N - events.trough_N) / WEIGHT_N)
-
-
-@pytest.mark.parametrize("uneven", [0.0, 0.02])
-def test_an_uneven_track_is_found_where_there_is_one(uneven):
-    found = _uneven_track([slider_run(seed, uneven) for seed in range(6)])
+    even = {"outliers": 0.0, "noise": {"spring_slider": 2.0}, "tracks": {"spring_slider": track}}
+    planted(6, tmp_path, {"static_kinetic": 0.1}, "spring_slider", **even)
+    found = within_runs(read_case(tmp_path), measured(tmp_path))["spring_slider"]
     low, high = track_step(found, "track")["step_ci95"]
     if uneven:
         assert low > 0 and 0.03 < found["track_sd"] < 0.12

@@ -1,6 +1,6 @@
 """A campaign of drop-and-drag in the cloth simulator with a hidden effect, tracked and noisy.
 
-    python tests/support/hidden_effects/cloth_bench.py FOLDER --effect anisotropy 0.25
+    python tests/support/cloth_bench.py FOLDER --effect anisotropy 0.25
 
 The shapes come from the full simulation of the cloth (membrane, bending, contact), not from any
 forward model of the criticism. Noise, specimen and run scatter hide the effect.

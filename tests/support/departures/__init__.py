@@ -4,6 +4,6 @@ It shares neither formula nor constant with the package ``slipstitch``: all is d
 docs/criticise-your-data.md.
 """
 
-from support.departures.campaign import FAMILIES, draw_plan, make_case
+from support.departures.campaign import FAMILIES, draw_plan, make_case, planted
 
-__all__ = ["FAMILIES", "draw_plan", "make_case"]
+__all__ = ["FAMILIES", "draw_plan", "make_case", "planted"]

@@ -1,7 +1,7 @@
 """Campaigns with a hidden truth: drawn from a seed, written as case folders."""
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,37 +21,6 @@ FAMILIES = (
     "units",
 )
 PROTOCOLS = ("incline", "strip", "drag", "drop_drag", "spring_slider")
-# Protocols where an effect has something to show, one of which is always measured.
-SHOWS = {
-    "load_power": ("incline", "drag"),
-    "adhesion": ("incline", "drag"),
-    "static_kinetic": ("drag", "spring_slider"),
-    "ageing": ("incline", "drag", "spring_slider"),
-    "rate": ("drag", "spring_slider"),
-    "anisotropy": ("incline", "strip", "drag", "drop_drag"),
-    "nap": ("incline", "strip", "drag", "drop_drag"),
-    "wear": ("incline", "strip", "drag", "drop_drag"),
-    "humidity": ("incline", "strip", "drag", "drop_drag"),
-    "tilt": ("incline", "drag"),
-    "mass_error": ("drop_drag",),
-    "bending_error": ("drop_drag",),
-    "backlash": ("drag",),
-    "camera_scale": ("drop_drag",),
-    "force_offset": ("drag",),
-    "force_gain": ("drag",),
-    "time_lag": ("drop_drag",),
-    "patch": ("incline", "strip", "drag", "drop_drag"),
-    "periodic": ("incline", "strip", "drag"),
-    "memory": ("incline", "drag"),
-    "operator_habit": ("incline", "strip", "drag", "drop_drag"),
-    "threefold": ("incline", "strip", "drag", "drop_drag"),
-    "oblique": ("incline", "strip", "drag", "drop_drag"),
-    "stribeck": ("drag",),
-    "thermal": ("incline", "strip", "drag", "drop_drag"),
-    "cleaning": ("incline", "strip", "drag", "drop_drag"),
-    "load_step": ("incline", "drag"),
-    "dwell_peak": ("incline", "strip", "drag"),
-}
 # Designs that cannot tell: protocols, fixed columns, tie set.
 AMBIGUOUS = (
     (("drop_drag",), {}, ("bending_error", "mass_error")),
@@ -66,20 +35,6 @@ SORTABLE = {
 }
 USUAL_SCATTER = ((0.02, 0.08), (0.015, 0.05))  # between specimens, between runs; of log mu
 MAY_BE_MISSING = ("operator", "rh_pct", "pos_x_mm", "clock_min", "dwell_s", "repeat_index")
-NEEDS = {
-    "humidity": "rh_pct",
-    "ageing": "dwell_s",
-    "static_kinetic": "dwell_s",
-    "wear": "repeat_index",
-    "patch": "pos_x_mm",
-    "periodic": "pos_x_mm",
-    "operator_habit": "operator",
-    "memory": "clock_min",
-    "thermal": "clock_min",
-    "cleaning": "clock_min",
-    "time_drift": "clock_min",
-    "dwell_peak": "dwell_s",
-}
 
 
 @dataclass
@@ -113,12 +68,17 @@ class Plan:
     known: dict = field(default_factory=dict)  # expectations, by what they depend on
 
 
-def draw_plan(seed, family=None, departures=None):
-    """The plan of a seed; by default its family follows from the seed, and odd seeds depart."""
+def draw_plan(seed, family=None, departures=None, protocols=None):
+    """The plan of a seed; by default its family follows from the seed, and odd seeds depart.
+
+    ``protocols`` are measured instead of drawn ones, every column varied.
+    """
     family = FAMILIES[(seed // 2) % len(FAMILIES)] if family is None else family
     departures = bool(seed % 2) if departures is None else departures
     rng = np.random.default_rng([seed, 40_000])
-    names, protocols, fixed, tie, sort_by, units = _family(rng, family)
+    names, drawn, fixed, tie, sort_by, units = _family(rng, family)
+    varied = bool(protocols) or _turns(names)
+    protocols = tuple(p for p in PROTOCOLS if p in (protocols or drawn))
     nominal = {
         "rho_kg_m2": round(float(rng.uniform(0.09, 0.28)), 4),
         "B_Nm": float(f"{np.exp(rng.uniform(np.log(2e-6), np.log(4e-5))):.3g}"),
@@ -159,7 +119,7 @@ def draw_plan(seed, family=None, departures=None):
         sorted_by=sort_by,
         units=units,
     )
-    if "orientation_deg" not in fixed and rng.uniform() < 0.15 and not _turns(names):
+    if "orientation_deg" not in fixed and rng.uniform() < 0.15 and not varied:
         fixed["orientation_deg"] = 0.0
     for protocol in protocols:
         plan.tables[protocol] = draw(rng, protocol, fixed, sort_by)
@@ -207,7 +167,7 @@ def _family(rng, family):
     elif family == "outside":
         names = (str(rng.choice(laws.OUTSIDE)),)
     number = int(rng.choice([1, 2, 3], p=[0.35, 0.4, 0.25]))
-    chosen = [str(rng.choice(SHOWS[name])) for name in names]
+    chosen = [str(rng.choice(laws.EFFECTS[name].shows)) for name in names]
     for protocol in rng.permutation(PROTOCOLS):
         # Stick-slip is rarer; it costs the most to draw.
         if len(set(chosen)) < number and (protocol != "spring_slider" or rng.uniform() < 0.3):
@@ -219,14 +179,15 @@ def _sized(rng, plan, names):
     """Sizes that aim at a noncentrality drawn for each effect."""
     effects = {}
     for name in names:
-        fixed = _details(rng, name)
+        fixed = laws.details(rng, name)
         if name == "tilt" and plan.tie:  # along the nap, or the design can tell
             fixed["tilt_azimuth"] = 180.0 * (fixed["tilt_azimuth"] > 180)
         low, high = {"single": (9, 1000), "pair": (30, 600)}.get(plan.family, (25, 1000))
         large = rng.uniform() < 0.3  # of the size that such effects have, however plain it is
         aim = np.exp(rng.uniform(np.log(low), np.log(high)))
-        smallest, largest, signed = laws.BOUNDS.get(name, (0.01, 0.45, True))
-        sign = -1.0 if signed and rng.uniform() < 0.5 else 1.0
+        effect = laws.EFFECTS[name]
+        largest = effect.largest
+        sign = -1.0 if effect.signed and rng.uniform() < 0.5 else 1.0
         share = sign
         if large:
             share = sign * rng.uniform(0.7, 2.2)
@@ -239,29 +200,11 @@ def _sized(rng, plan, names):
             wanted = size * np.clip(np.sqrt(aim / max(seen, 1e-6)), 0.1, 8.0)
             if name == "bending_error" and sign < 0:
                 largest = 0.5
-            wanted = np.clip(wanted, smallest, largest)
+            wanted = np.clip(wanted, effect.smallest, largest)
             share = sign * unit * wanted / size
         values = laws.scaled(name, share, **fixed)
         effects[name] = {k: float(f"{v:.5g}") for k, v in values.items()}
     return effects
-
-
-def _details(rng, name):
-    """What an effect has besides its size."""
-    return {
-        "wear": lambda: {"wear_r0": rng.uniform(1.0, 4.0)},
-        "tilt": lambda: {"tilt_azimuth": rng.uniform(0, 360)},
-        "patch": lambda: {"centre_mm": rng.uniform(40, 160), "width_mm": rng.uniform(25, 70)},
-        "periodic": lambda: {
-            "wavelength_mm": np.exp(rng.uniform(np.log(10), np.log(80))),
-            "phase": rng.uniform(0, 6.28),
-        },
-        "stribeck": lambda: {"dip_mm_s": rng.uniform(2, 12)},
-        "thermal": lambda: {"period_min": rng.uniform(60, 140)},
-        "cleaning": lambda: {"moment_min": rng.uniform(50, 110)},
-        "load_step": lambda: {"threshold_Pa": rng.uniform(15, 90)},
-        "dwell_peak": lambda: {"peak_s": rng.uniform(5, 20)},
-    }.get(name, dict)()
 
 
 def _depart(rng, plan):
@@ -274,7 +217,7 @@ def _depart(rng, plan):
         kind = "several"
     plan.fault_kind = kind
     plan.faults = sensors.draw_faults(rng, plan.protocols, kind)
-    needed = {NEEDS.get(name) for name in (*plan.effects, *plan.tie)} | {plan.sorted_by}
+    needed = {laws.EFFECTS[name].column for name in (*plan.effects, *plan.tie)} | {plan.sorted_by}
     spare = [c for c in MAY_BE_MISSING if c not in needed]
     if kind == "several" and rng.uniform() < 0.5:
         plan.missing = [str(c) for c in rng.choice(spare, rng.integers(1, 3), replace=False)]
@@ -311,6 +254,27 @@ def make_case(seed, folder, family=None, departures=None, repeat=0, effect_free=
         plan.effects = {}
     write(plan, Path(folder), repeat)
     return truth
+
+
+def planted(seed, folder, effects, *protocols, repeat=0, **changes):
+    """Write a sound bench's case with effects of one's own; return its plan.
+
+    Parameters
+    ----------
+    effects
+        By name: parameters, a size alone, or a factor on the friction of (contact, moving).
+    repeat
+        A further campaign of the same plan.
+    changes
+        Of the plan that is drawn; of mappings, entries.
+    """
+    plan = draw_plan(seed, "null", False, protocols)
+    effects = {k: {k: v} if isinstance(v, float) else v for k, v in effects.items()}
+    for name, value in changes.items():
+        changes[name] = getattr(plan, name) | value if isinstance(value, dict) else value
+    plan = replace(plan, effects=effects, **changes)
+    write(plan, Path(folder), repeat)
+    return plan
 
 
 def write(plan, folder, repeat=0):
