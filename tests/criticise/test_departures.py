@@ -254,17 +254,6 @@ def test_wrong_units_are_written_and_read(unit, tmp_path):
     read_case(wrong)
 
 
-def test_the_three_departures_are_those_of_every_real_bench():
-    faults = sensors.draw_faults(np.random.default_rng(5), ("incline", "drop_drag"), "three")
-    assert [(f["quantity"], f["kind"]) for f in faults] == [
-        ("x_stage_mm", "zero"),
-        ("x_stage_mm", "turn"),
-        ("contact_len_mm", "noise"),
-    ]
-    assert 0.7 <= abs(faults[0]["size"]) <= 1.6
-    assert [f["size"] for f in faults[1:]] == [2.0, 1.5]
-
-
 def test_noncentrality_grows_with_the_square_of_a_small_effect():
     plan = draw_plan(2, "null", False)
     effects = [{"humidity": {"humidity": size}} for size in (0.002, 0.004)]
@@ -382,9 +371,3 @@ def test_unseen_cases_are_judged_as_the_published_rates_say(benchmark, hidden_se
     assert sum(benchmark.wrong_cause(r) for r in effects) <= 2, answers
     strong = [r for r in records if benchmark.separable(r)]
     assert sum(benchmark.exact(r) for r in strong) >= 0.5 * len(strong), answers
-
-
-def test_wilsons_interval_is_the_textbooks(benchmark):
-    # Newcombe 1998, table I: 15 of 148.
-    assert benchmark.wilson(15, 148) == "0.10 [0.06, 0.16] 15/148"
-    assert benchmark.wilson(0, 0) == "-"

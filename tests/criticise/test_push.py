@@ -1,13 +1,12 @@
 """(f) A pushed block: steps in time and the features agree; an impact is no static excess."""
 
-import json
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from support.criticised import measured
+from support.criticised import change_meta, measured, write_runs
 
 from slipstitch.base.errors import BadInput
 from slipstitch.criticise.case import read_case
@@ -43,14 +42,12 @@ def write_case(folder, static, one_file_a_run, runs=6):
     random = np.random.default_rng(2)
     force = pushed(static)
     time = 0.01 * np.arange(len(force))
-    table = pd.DataFrame({"run_id": [f"p{i}" for i in range(runs)]})
-    for name in (
-        "specimen_id", "clock_min", "repeat_index", "orientation_deg", "dwell_s", "rh_pct",
-        "pos_x_mm", "operator", "support", "area_cm2", "turned_deg", "moved_mm",
-    ):  # fmt: skip
-        table[name] = ""
-    table["push_azimuth_deg"] = 60.0 * np.arange(runs)
-    table = table.assign(added_mass_g=1e3 * MASS_KG, speed_mm_s=2.5, quiet_s=0.4, u_force_mN=5.0)
+    folder.mkdir()
+    columns = {"push_azimuth_deg": 60.0 * np.arange(runs), "added_mass_g": 1e3 * MASS_KG}
+    columns |= {"speed_mm_s": 2.5, "quiet_s": 0.4, "u_force_mN": 5.0}
+    columns |= dict.fromkeys(("area_cm2", "support", "turned_deg", "moved_mm"), np.nan)
+    table = write_runs(folder, "push", runs, {}, **columns)
+    change_meta(folder, protocols=["f"])
     parts = {}
     for i, run in enumerate(table["run_id"]):
         along = np.radians(60.0 * i)
@@ -61,9 +58,6 @@ def write_case(folder, static, one_file_a_run, runs=6):
         parts[run] = pd.DataFrame(
             {"t_s": time, "force_x_mN": readings[:, 0], "force_y_mN": readings[:, 1]}
         )
-    folder.mkdir()
-    table.to_csv(folder / "push_runs.csv", index=False)
-    (folder / "meta.json").write_text(json.dumps({"nominal": {}, "protocols": ["f"]}))
     if one_file_a_run:
         (folder / "push").mkdir()
         for i, (run, part) in enumerate(parts.items()):
@@ -119,10 +113,10 @@ def test_one_file_a_run_is_read_as_one_table(tmp_path):
 
 def test_files_that_belong_to_no_run_are_named(tmp_path):
     folder = write_case(tmp_path / "case", 0.0, one_file_a_run=True)
-    (folder / "push" / "p0.csv").rename(folder / "push" / "q7.csv")
+    (folder / "push" / "r0.csv").rename(folder / "push" / "q7.csv")
     with pytest.raises(BadInput, match=r"push: 'q7' is not in push_runs\.csv"):
         read_case(folder)
-    (folder / "push" / "q7.csv").rename(folder / "push" / "p1.csv")
+    (folder / "push" / "q7.csv").rename(folder / "push" / "r1.csv")
     with pytest.raises(BadInput, match="a run as CSV and as Parquet"):
         read_case(folder)
     (folder / "push.csv").write_text("run_id\n")

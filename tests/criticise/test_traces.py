@@ -1,11 +1,9 @@
 """Traces as instruments write them: glitches, clocks, units and faults of the force cell."""
 
-import json
-
 import numpy as np
 import pandas as pd
 import pytest
-from support.criticised import measured
+from support.criticised import measured, write_runs
 
 from slipstitch.base.errors import BadInput
 from slipstitch.criticise.case import read_case
@@ -35,7 +33,8 @@ def slider_case(folder, samples=40, spoil=lambda trace: trace, seconds=5.0):
         force = np.minimum(SPRING * SPEED * time, force) + rng.normal(0, 0.5, len(time))
         trace = spoil(pd.DataFrame({"t_s": time, "force_mN": force}))
         trace.to_csv(folder / "spring_slider" / f"r{i}.csv", index=False)
-    write_runs(folder, "spring_slider", spring_N_m=SPRING, speed_mm_s=SPEED, u_force_mN=0.5)
+    bench = {"spring_N_m": SPRING, "speed_mm_s": SPEED, "u_force_mN": 0.5}
+    write_runs(folder, "spring_slider", RUNS, NOMINAL, added_mass_g=1e3 * LOAD_KG, **bench)
     return folder
 
 
@@ -44,7 +43,8 @@ def planned_case(name, rated=lambda samples: {}, **columns):
 
     def make(folder, samples=200, spoil=lambda trace: trace):
         folder.mkdir(parents=True, exist_ok=True)
-        runs = write_runs(folder, name, **columns)
+        own = {"added_mass_g": 1e3 * LOAD_KG} | columns
+        runs = write_runs(folder, name, RUNS, NOMINAL, **own)
         assumed = {assumption.name: assumption.value for assumption in ASSUMPTIONS}
         assumed |= {"mu_face": KINETIC} | rated(samples)
         readings = READINGS[name](runs, NOMINAL, assumed, np.random.default_rng(3))
@@ -58,21 +58,6 @@ def planned_case(name, rated=lambda samples: {}, **columns):
 def plain_drag(samples):
     """So many readings a stroke, on an even track."""
     return {"drag_stroke_mm": 40.0, "drag_step_mm": 40.0 / samples, "drag_texture_sd": 0.0}
-
-
-def write_runs(folder, name, **columns):
-    common = {
-        "run_id": [f"r{i}" for i in range(RUNS)],
-        "specimen_id": [f"s{i // 3}" for i in range(RUNS)],
-        "clock_min": 3.0 * np.arange(RUNS),
-        "repeat_index": np.arange(RUNS) % 3,
-    }
-    empty = ("orientation_deg", "dwell_s", "rh_pct", "pos_x_mm", "operator", "stage_azimuth_deg")
-    usual = dict.fromkeys(empty, np.nan) | {"area_cm2": 1.0, "added_mass_g": 1e3 * LOAD_KG}
-    runs = pd.DataFrame(common | usual | columns)
-    runs.to_csv(folder / f"{name}_runs.csv", index=False)
-    (folder / "meta.json").write_text(json.dumps({"nominal": NOMINAL}), encoding="utf-8-sig")
-    return runs
 
 
 of_push = dict.fromkeys(("push_azimuth_deg", "turned_deg", "support"), np.nan)

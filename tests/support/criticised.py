@@ -2,6 +2,7 @@
 
 import json
 
+import numpy as np
 import pandas as pd
 
 from slipstitch.criticise.case import read_case
@@ -34,6 +35,22 @@ def change(path, **columns):
 
 def change_meta(folder, **values):
     """Other entries of meta.json; those of ``nominal`` beside what is there."""
-    meta = json.loads((folder / "meta.json").read_text())
+    meta = json.loads((folder / "meta.json").read_text(encoding="utf-8-sig"))
     nominal = meta["nominal"] | values.pop("nominal", {})
     (folder / "meta.json").write_text(json.dumps(meta | {"nominal": nominal} | values))
+
+
+def write_runs(folder, name, count, nominal, **columns):
+    """The runs of a protocol and meta.json; what is not given was not recorded."""
+    empty = ("orientation_deg", "dwell_s", "rh_pct", "pos_x_mm", "operator", "stage_azimuth_deg")
+    runs = {
+        "run_id": [f"r{i}" for i in range(count)],
+        "specimen_id": [f"s{i // 3}" for i in range(count)],
+        "clock_min": 3.0 * np.arange(count),
+        "repeat_index": np.arange(count) % 3,
+        "area_cm2": 1.0,
+    }
+    runs = pd.DataFrame(runs | dict.fromkeys(empty, np.nan) | columns)
+    runs.to_csv(folder / f"{name}_runs.csv", index=False)
+    (folder / "meta.json").write_text(json.dumps({"nominal": nominal}), encoding="utf-8-sig")
+    return runs

@@ -222,15 +222,15 @@ def assemble(case: Case, measured: bool = True) -> Measurements:
     if not kept:
         why = " ".join(odd) or "at least one slip is needed"
         raise BadInput(f"{case.name}: no run has a usable trace; {why}")
-    for block in kept:
-        block.rows.insert(0, "protocol", block.protocol)
     found = measurements_of(kept)
     found.implausible, found.findings = odd, findings
     return found
 
 
 def measurements_of(blocks: list[Block]) -> Measurements:
-    """Measurements from blocks whose rows say their ``protocol``."""
+    """Measurements from blocks."""
+    for block in blocks:
+        block.rows.insert(0, "protocol", block.protocol)
     rows = pd.concat([block.rows for block in blocks], ignore_index=True)
     rows["load_before"] = load_before(rows)
     return Measurements(

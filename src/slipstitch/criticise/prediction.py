@@ -11,7 +11,6 @@ from typing import Annotated, Any
 import numpy as np
 import pandas as pd
 from pydantic import BaseModel, Field, FiniteFloat, ValidationError, model_validator
-from scipy.stats import t as student
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import atomic_path, file_digest, read_json, write_json
@@ -19,6 +18,7 @@ from slipstitch.criticise.case import Case, read_case
 from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.inference.discrepancy import predicted_with
 from slipstitch.criticise.inference.fit import carried_over
+from slipstitch.criticise.inference.gain import mean_of_clusters
 from slipstitch.criticise.inference.mixed_model import total_variance
 from slipstitch.criticise.measurements import Measurements, assemble
 from slipstitch.criticise.protocols import PROTOCOLS
@@ -66,13 +66,16 @@ class _Discrepancy(BaseModel):
         return self
 
 
-def _is(kind: type[BaseModel], found: Any) -> bool:
-    """Whether plain data have the shape of what a verdict has."""
+def _check(kind: type[BaseModel], found: Any, where: str) -> None:
+    """Refuse plain data that have not the shape of what a verdict has."""
     try:
         kind.model_validate(found)
     except (BadInput, ValidationError):
-        return False
-    return True
+        *names, last = (name for name, f in kind.model_fields.items() if f.is_required())
+        raise BadInput(
+            f"{where}: must contain {', '.join(names)} and {last}, as written by slipstitch "
+            "criticise"
+        ) from None
 
 
 def read_verdict(path: Path) -> dict:
@@ -81,21 +84,13 @@ def read_verdict(path: Path) -> dict:
     if not isinstance(verdict, dict):
         verdict = {}
     found = verdict.get("discrepancy")
-    none = found is None or (isinstance(found, dict) and found.get("covariate", 0) is None)
-    if not none and not _is(_Discrepancy, found):
-        raise BadInput(
-            f"{path}: discrepancy: must contain covariate, knots, factors, ci95, coefficients and "
-            "scatter, as written by slipstitch criticise"
-        )
+    if found is not None and not (isinstance(found, dict) and found.get("covariate", 0) is None):
+        _check(_Discrepancy, found, f"{path}: discrepancy")
     models = verdict.get("models")
     if not isinstance(models, dict) or not {"null", "extended"} <= set(models):
         raise BadInput(f"{path}: models: missing; must be a file written by slipstitch criticise")
     for name, model in models.items():
-        if not _is(_Model, model):
-            raise BadInput(
-                f"{path}: models.{name}: must contain causes, parameters, values, covariance and "
-                "scatter, as written by slipstitch criticise"
-            )
+        _check(_Model, model, f"{path}: models.{name}")
         for cause in model["causes"]:
             if cause not in MECHANISMS:
                 raise BadInput(f"{path}: models: unknown mechanism '{cause}'")
@@ -257,14 +252,9 @@ def score(case_folder: Path, prediction: Path, record: dict) -> dict:
             "error": {quantity: float(f"{error:.5g}") for quantity, error in errors.items()},
         }
     gains = (both["extended"] - both["null"]).groupby(both["specimen_id"]).agg(["sum", "size"])
-    count, readings = len(gains), gains["size"].sum()
-    mean = float(gains["sum"].sum() / readings)
-    interval = None
-    if count > 1:
-        spread = np.sqrt(np.sum((gains["sum"] - mean * gains["size"]) ** 2) * count / (count - 1))
-        half = float(student.ppf(0.975, count - 1) * spread / readings)
-        interval = [round(mean - half, 4), round(mean + half, 4)]
-    found |= {"specimens": count, "gain": {"estimate": round(mean, 4), "ci95": interval}}
+    mean, half = mean_of_clusters(*gains.to_numpy(float).T)
+    interval = [round(mean - half, 4), round(mean + half, 4)] if len(gains) > 1 else None
+    found |= {"specimens": len(gains), "gain": {"estimate": round(mean, 4), "ci95": interval}}
     return found
 
 

@@ -280,7 +280,6 @@ def _design(
         block = protocol.features({protocol.runs_table: runs}, case.nominal, False)
     except KeyError:  # a nominal value that this protocol needs is not given
         return None
-    block.rows.insert(0, "protocol", protocol.name)
     return measurements_of([block])
 
 

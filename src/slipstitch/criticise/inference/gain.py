@@ -7,12 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
-from slipstitch.criticise.inference import mixed_model
 from slipstitch.criticise.inference.candidates import Candidate
 from slipstitch.criticise.inference.faulty_data import without_zeros
 from slipstitch.criticise.inference.fit import Fit, fit
 from slipstitch.criticise.inference.mixed_model import Clusters, Scatter, total_variance
-from slipstitch.criticise.inference.state import State
+from slipstitch.criticise.inference.state import State, scatters_of
 from slipstitch.criticise.verdict import Analysis
 
 
@@ -21,13 +20,7 @@ def plain_scatters(analysis: Analysis, fitted: Fit) -> dict[str, Scatter]:
 
     Outliers count: a fresh campaign will have them too.
     """
-    m, residual = analysis.measurements, analysis.measurements.y - fitted.prediction
-    return {
-        group.protocol: mixed_model.estimate_scatter(
-            group, residual[group.index], group.level(), mixed_model.zeros_of(m, group)
-        )[0]
-        for group in mixed_model.make_groups(m, analysis.state.sensitivity)
-    }
+    return scatters_of(analysis.measurements, fitted, analysis.state.sensitivity, {})
 
 
 @dataclass
@@ -63,6 +56,13 @@ def _linear(analysis: Analysis, fitted: Fit, state: State, extra: int) -> _Linea
             mine = group.specimen == specimen
             grams.append(weighted[mine].T @ own[mine])
     return _Linear(fitted, residual, extra, np.reshape(grams, (-1, *[columns.shape[1]] * 2)))
+
+
+def mean_of_clusters(sums: np.ndarray, sizes: np.ndarray) -> tuple[float, float]:
+    """Mean over all members of clusters, and half of its 95 % interval by what clusters say."""
+    mean, others = sums.sum() / sizes.sum(), max(len(sums) - 1, 1)
+    error = np.sqrt(np.sum((sums - mean * sizes) ** 2) * len(sums) / others) / sizes.sum()
+    return float(mean), float(student.ppf(0.975, others) * error)
 
 
 def held_out_gain(analysis: Analysis, candidates: list[Candidate]) -> dict:
@@ -106,11 +106,7 @@ def held_out_gain(analysis: Analysis, candidates: list[Candidate]) -> dict:
         found = [float("nan")] * 6
     else:
         plain, extended = np.array(scores).T
-        differences = extended - plain
-        estimate = differences.sum() / total
-        spread = np.sum((differences - estimate * sizes) ** 2)
-        error = np.sqrt(spread * specimens / max(specimens - 1, 1)) / total
-        reach = student.ppf(0.975, max(specimens - 1, 1)) * error
+        estimate, reach = mean_of_clusters(extended - plain, sizes)
         rmse = np.sqrt(np.sum(errors, axis=0) / total)
         found = [estimate, estimate - reach, estimate + reach, plain.sum() / total, *rmse]
     estimate, low, high, null_score, rmse_null, rmse_extended = (round(float(x), 5) for x in found)

@@ -178,19 +178,26 @@ def state_at(
     """Estimate the scatter at a fitted model and set up the weights and tests there."""
     sensitivity = fitted.sensitivity()
     found = found or alternatives(measurements, fitted)
-    residual = measurements.y - fitted.prediction
-    scatters = {}
-    for group in mixed_model.make_groups(measurements, sensitivity):
-        scatters[group.protocol], _ = mixed_model.estimate_scatter(
-            group,
-            residual[group.index],
-            group.level(),
-            mixed_model.zeros_of(measurements, group),
-            (start or {}).get(group.protocol, mixed_model.START_SCATTER),
-        )
+    scatters = scatters_of(measurements, fitted, sensitivity, start or {})
     weights = Weights(measurements, sensitivity, scatters)
     tests, untestable = found.tests, found.untestable
     return State(measurements, fitted, scatters, weights, sensitivity, tests, untestable)
+
+
+def scatters_of(
+    m: Measurements, fitted: Fit, sensitivity: np.ndarray, start: dict[str, Scatter]
+) -> dict[str, Scatter]:
+    """The scatter of each protocol beside a fitted model."""
+    return {
+        group.protocol: mixed_model.estimate_scatter(
+            group,
+            (m.y - fitted.prediction)[group.index],
+            group.level(),
+            mixed_model.zeros_of(m, group),
+            start.get(group.protocol, mixed_model.START_SCATTER),
+        )[0]
+        for group in mixed_model.make_groups(m, sensitivity)
+    }
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 import pandas as pd
@@ -59,7 +60,6 @@ class DropDragBlock(protocol.Block):
     areal_mass_kg_m2: float
     bending_Nm: float
     cloth_length_m: float
-    path: tuple | None = None  # the last sticking path and the fabric it belongs to
 
     def predict(self, law, bench):
         n, runs = len(self.runs), {name: own.to_numpy() for name, own in self.runs.items()}
@@ -105,22 +105,20 @@ class DropDragBlock(protocol.Block):
             set_up, which = np.unique(
                 np.column_stack([height_m, tilt.round(12)]), axis=0, return_inverse=True
             )
-            key = (
-                bench.mass_error,
-                bench.bending_error,
-                bench.tilt_along_rad,
-                bench.tilt_across_rad,
-            )
-            if self.path is None or self.path[0] != key:
-                path = sticking_path(weight[0], bending[0], self.cloth_length_m, *set_up.T)
-                self.path = (key, path)
-            advance, flat = self.path[1]
+            fabric = weight[0], bending[0], self.cloth_length_m
+            advance, flat = _sticking(*fabric, *set_up.T.ravel())
             for i in here:
                 r = self.run[i]
                 since = 1e-3 * np.maximum(runs["stuck_mm"][r] - behind[r], 0.0)
                 stuck = np.interp(since, advance[which[r]], flat[which[r]])
                 result[i] = of_contact * (stuck.sum() / len(stuck)) + contact_zero
         return result
+
+
+@lru_cache(maxsize=4)
+def _sticking(weight: float, bending: float, length: float, *heights_and_tilts: float):
+    """The sticking path; derivatives ask for the same one again and again."""
+    return sticking_path(weight, bending, length, *np.reshape(heights_and_tilts, (2, -1)))
 
 
 def _frames(frames: pd.DataFrame, u: float, u_contact: float) -> tuple[dict, dict]:
