@@ -58,9 +58,9 @@ def test_a_far_run_among_few_does_not_hide_in_the_scatter_that_it_makes(tmp_path
 
 
 def test_a_change_for_good_within_a_session_is_told_from_the_scatter_of_specimens(tmp_path):
-    changed = {"smooth": {"along": "clock_min", "law": lambda c: np.where(c > 67, 0.75, 1.0)}}
-    make_case(81, "outside", tmp_path, plant=(changed, ["incline"]))
-    _, state = robust_fit(measured(tmp_path))
+    changed = {"change": lambda contact, moving: np.where(contact["clock_min"] > 67, 0.75, 1.0)}
+    planted(81, tmp_path, changed, "incline", outliers=0.0)
+    state = robust_fit(measured(tmp_path))
     outcome = state.outcome(np.random.default_rng(1), 100)
     found = outcome.tests[outcome.strongest("generic")]
     assert found.covariate == "clock_min" and found.shape.startswith("a change for good at 6")

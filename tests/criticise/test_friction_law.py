@@ -33,28 +33,14 @@ EXPECTED = {
 }
 
 
-def test_plain_coulomb_is_the_default():
-    law = FrictionLaw(MU)
-    assert law.force_limit(CONTACT, static=True) == pytest.approx(COULOMB_N)
-    assert law.force_limit(CONTACT, static=False) == pytest.approx(COULOMB_N)
-
-
-def test_every_mechanism_has_its_expected_value_here():
-    assert set(EXPECTED) == set(CONTACT_MECHANISMS)
-
-
-@pytest.mark.parametrize("name", EXPECTED)
-def test_mechanism(name):
-    values, static, kinetic = EXPECTED[name]
-    law = FrictionLaw(MU, {name: values})
-    assert law.force_limit(CONTACT, static=True) == pytest.approx(COULOMB_N * static)
-    assert law.force_limit(CONTACT, static=False) == pytest.approx(COULOMB_N * kinetic)
-
-
-@pytest.mark.parametrize("name", EXPECTED)
-def test_mechanism_at_its_null_is_absent(name):
-    law = FrictionLaw(MU, {name: CONTACT_MECHANISMS[name].null_values()})
-    assert law.force_limit(CONTACT, static=True) == pytest.approx(COULOMB_N)
+@pytest.mark.parametrize("name", CONTACT_MECHANISMS)
+def test_a_mechanism_acts_as_documented_and_not_at_its_null(name):
+    values, *factors = EXPECTED[name]
+    null = CONTACT_MECHANISMS[name].null_values()
+    for mechanisms, expected in (({name: values}, factors), ({name: null}, [1, 1]), ({}, [1, 1])):
+        law = FrictionLaw(MU, mechanisms)
+        limits = [law.force_limit(CONTACT, static) for static in (True, False)]
+        assert limits == pytest.approx([COULOMB_N * factor for factor in expected])
 
 
 def test_mechanisms_compose():
@@ -72,10 +58,10 @@ def test_what_was_not_recorded_changes_nothing():
     blind = Contact(
         normal_force_N=0.2, direction_rad=np.nan, repeats=np.nan, relative_humidity_pct=np.nan
     )
-    for name in ("ageing", "rate", "anisotropy", "nap", "wear", "humidity"):
-        law = FrictionLaw(MU, {name: EXPECTED[name][0]})
-        for static in (True, False):
-            assert law.force_limit(blind, static) == pytest.approx(COULOMB_N)
+    names = ("ageing", "rate", "anisotropy", "nap", "wear", "humidity")
+    law = FrictionLaw(MU, {name: EXPECTED[name][0] for name in names})
+    for static in (True, False):
+        assert law.force_limit(blind, static) == pytest.approx(COULOMB_N)
 
 
 def test_a_law_survives_being_written_down():

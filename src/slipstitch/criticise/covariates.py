@@ -111,8 +111,10 @@ def load_before(rows: pd.DataFrame) -> np.ndarray:
     return found
 
 
-def _shape(covariate: Covariate, form: str, columns: np.ndarray, **kind: bool) -> Test:
-    return Test(columns, covariate=covariate.name, shape=form, **kind)
+def _shape(
+    covariate: Covariate, form: str, columns: np.ndarray, scanned=False, spanned=False
+) -> Test:
+    return Test(columns, covariate=covariate.name, shape=form, scanned=scanned, spanned=spanned)
 
 
 def _levels(values: np.ndarray) -> np.ndarray:

@@ -70,7 +70,7 @@ def finite(content: Any) -> Any:
 
 
 def criticise_to_files(
-    case: Case, seed: int, replicates: int, paths: Mapping[str, Path | None], campaigns: int = 0
+    case: Case, seed: int, replicates: int, paths: Mapping[str, Any], campaigns: int = 0
 ) -> str:
     """Criticise a case, write what is asked for, and say in a sentence what was found.
 

@@ -60,8 +60,9 @@ class Weights:
             pulled = self._solved(free)
             self._carried.append((pulled, np.linalg.pinv(free.T @ pulled, hermitian=True)))
         self._bounds = np.flatnonzero(m.lower_bound)
-        own = (values[self._bounds] for values in (m.protocol, m.u, sensitivity))
-        self._bound_sd = np.maximum(np.sqrt(total_variance(*own, scatters)), 1e-9)
+        b = self._bounds
+        variance = total_variance(m.protocol[b], m.u[b], sensitivity[b], scatters)
+        self._bound_sd = np.maximum(np.sqrt(variance), 1e-9)
 
     def _solved(self, values: np.ndarray) -> np.ndarray:
         """P x of the groups' rows (n, k)."""
