@@ -8,9 +8,10 @@ from pydantic import ValidationError
 
 from slipstitch.config.catalogue import FLOORS, TEST_ONLY_TEXTURES, TEXTURE_FAMILY, TEXTURES
 from slipstitch.config.render import AugmentationSettings, RenderSettings
-from slipstitch.images.encoding import CameraEffects, draw_camera_effects, encode_srgb, pixel_noise
+from slipstitch.images.encoding import CameraEffects, draw_camera_effects, encode_srgb
 from slipstitch.images.surroundings import LAMP_POSITION_M, MATTE, draw_surroundings
 from slipstitch.images.textures import texture, worn_texture
+from slipstitch.images.view import View
 
 LIGHT = np.random.default_rng(0).uniform(0.1, 0.6, (24, 24, 3))
 
@@ -51,7 +52,7 @@ def drawn(name="m00_f0100_r00", seed=3, texture="dots", view="side"):
     """Surroundings, camera and a number of the noise of a simulation's video."""
     place = {"side": "v01", "bench_1": "v02"}[view]
     effects = draw_camera_effects(LOOKS.augmentation, seed, name, texture, view)
-    noise = pixel_noise(seed, name, texture, view, 7).random()
+    noise = View(f"{name}.parquet", place, view, LOOKS, 1, seed).noise(texture, 7).random()
     return draw_surroundings(LOOKS, seed, name, place), effects, noise
 
 

@@ -94,10 +94,3 @@ def draw_camera_effects(
         float(noise * settings.noise),
         round(100 - compression * (100 - settings.jpeg_quality)),
     )
-
-
-def pixel_noise(
-    seed: int, simulation: str, texture: str, viewpoint: str, frame: int
-) -> np.random.Generator:
-    """The random numbers of one image's noise, the same for all videos of a bench."""
-    return generator(seed, drawn_by(simulation, viewpoint), texture, viewpoint, str(frame))

@@ -146,7 +146,7 @@ def _dots(u, v, rng):
 
 
 def _woven(x, y, thread, repeat, over, top):
-    """1 where a dark thread is on top: half of a repeat; the warp is, `top` of `over` times."""
+    """1 where a dark thread, half of each, shows; the warp is on top `top` of `over` times."""
     i, j = np.floor(x / thread).astype(int), np.floor(y / thread).astype(int)
     warp_on_top = np.mod(i + j, over) < top
     half = repeat / 2

@@ -22,8 +22,8 @@ from slipstitch.design.interpolation import Interpolation, interpolations
 from slipstitch.images import calibrated_view
 from slipstitch.images.calibrated_view import BenchCamera, CalibratedView, Rectifier
 from slipstitch.images.camera import Camera
-from slipstitch.images.encoding import CameraEffects, draw_camera_effects, pixel_noise
-from slipstitch.images.surroundings import Surroundings, draw_surroundings
+from slipstitch.images.encoding import CameraEffects, draw_camera_effects
+from slipstitch.images.surroundings import Surroundings, draw_surroundings, drawn_by, generator
 from slipstitch.images.textures import worn_texture
 from slipstitch.physics.simulation.trajectory import Trajectory, read_trajectory
 
@@ -116,8 +116,9 @@ class View:
         }
 
     def noise(self, texture: str, frame: int) -> np.random.Generator:
-        """The random numbers of an image's noise, by the texture's name."""
-        return pixel_noise(self.seed, self.simulation, texture, self.viewpoint, frame)
+        """The random numbers of an image's noise, the same for all videos of a bench."""
+        bench = drawn_by(self.simulation, self.viewpoint)
+        return generator(self.seed, bench, texture, self.viewpoint, str(frame))
 
     def worn(self, name: str) -> str:
         """What the cloth wears for a texture of this name, as `textures.texture` takes it."""

@@ -261,11 +261,9 @@ def calibrate_to_file(
         trials = [trial for key in keys for trial in sweep(key, settings, simulation, run_protocol)]
     else:
         trials = read_sweeps(sweeps, config)
+    sections, made_of = {"simulation": simulation, "calibrate": settings}, list(sweeps or ())
     record = provenance.provenance_record(
-        "calibrate.calibration",
-        inputs=list(sweeps or ()),
-        config={"simulation": simulation, "calibrate": settings},
-        started=started,
+        "calibrate.calibration", inputs=made_of, config=sections, started=started
     )
     try:
         strip = strip_calibration(trials)

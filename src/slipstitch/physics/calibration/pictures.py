@@ -199,9 +199,8 @@ def strip_figure(calibration: Mapping[str, Any]) -> Figure:
                 )  # fmt: skip
         label = f"simulated, Young's modulus {modulus / 1e9:.3g} GPa"
         handles.append(Line2D([], [], color=colour, marker=marker, lw=0, ms=5, label=label))
-    handles.append(
-        Line2D([], [], color=FAINT, marker="o", mfc="white", lw=0, ms=5, label="foot lies flat")
-    )
+    flat = {"mfc": "white", "lw": 0, "ms": 5, "label": "foot lies flat"}
+    handles.append(Line2D([], [], color=FAINT, marker="o", **flat))
     left.legend(handles=handles, frameon=False, fontsize=8, loc="lower right")
     left.set(title="Strip pushed on the floor", ylabel="vertical strain ε at slip")
     for place, friction in enumerate(evenly(sorted({run["friction"] for run in runs}))):
@@ -227,12 +226,10 @@ def _shapes(axes: Axes, at: float, runs: Sequence[Run]) -> None:
         if not len(shape):
             continue
         if index == 0:
-            curve = strip.strip_state(
-                np.clip(run["shape_strain"], 1e-5, _slip_curve()[-1, 1])
-            ).curve
-            axes.plot(
-                at + to_one_side(curve), curve[-1, 1] - curve[:, 1], color=THEORY, lw=1.0, zorder=2
-            )
+            strain = np.clip(run["shape_strain"], 1e-5, _slip_curve()[-1, 1])
+            curve = strip.strip_state(strain).curve
+            depth = curve[-1, 1] - curve[:, 1]
+            axes.plot(at + to_one_side(curve), depth, color=THEORY, lw=1.0, zorder=2)
         axes.plot(
             at + to_one_side(shape), 1 - run["shape_strain"] - shape[:, 1], marker, color=colour,
             ms=3.4 - index, mfc="none", mew=0.8, zorder=3 + index,

@@ -89,12 +89,9 @@ def simulate_case(
     run = DropAndDrag(case.material, case.friction, SEED)
     trajectory, columns = simulate_drop_and_drag(run, settings)
     trajectory.metadata["case"] = case.id
+    inputs, sections = [calibration] if calibration else [], {"simulation": settings}
     record = provenance_record(
-        "convergence",
-        inputs=[calibration] if calibration else [],
-        config={"simulation": settings},
-        seed=SEED,
-        started=started,
+        "convergence", inputs=inputs, config=sections, seed=SEED, started=started
     )
     write_trajectory(out, trajectory, record, **columns)
     return trajectory, record["cpu_s"]

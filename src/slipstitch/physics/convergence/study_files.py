@@ -40,11 +40,9 @@ def compare_cases(
     files = {case.id: Path(folder) / f"{case.id}.parquet" for case in cases(config)}
     files = {name: file for name, file in files.items() if file.is_file()}
     study = describe(config, {name: read_trajectory(file) for name, file in files.items()})
+    sections = {"convergence": config.convergence, "simulation": config.simulation}
     record = provenance.provenance_record(
-        "convergence",
-        inputs=files.values(),
-        config={"convergence": config.convergence, "simulation": config.simulation},
-        started=started,
+        "convergence", inputs=files.values(), config=sections, started=started
     )
     provenance.write_json(out, study, record, indent=None)
     if picture:

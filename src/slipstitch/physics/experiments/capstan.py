@@ -37,7 +37,7 @@ def capstan_theory(friction: float, wrap_rad: float) -> float:
 
 
 def capstan(settings: SimulationSettings, friction: float, wrap_deg: float) -> dict[str, Any]:
-    """Pull a strip around a cylinder until all of it slips: tension ratio, B/(T R²) where held."""
+    """Pull a strip around a cylinder until all of it slips; its bending is B/(T R²) where held."""
     wrap = radians(wrap_deg)
     expected = capstan_theory(friction, wrap)
     if expected > LARGEST_RATIO:

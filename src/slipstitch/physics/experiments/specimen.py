@@ -115,14 +115,9 @@ def started(
     **changes: Any,
 ) -> ClothSolver:
     """Return a solver at the beginning of the motion, some settings changed, no self-contact."""
+    own = replace(SolverSettings.of(settings), self_contact=False, **changes)
     solver = ClothSolver(
-        mesh,
-        tables,
-        start_m,
-        friction=friction,
-        fixed=fixed,
-        settings=replace(SolverSettings.of(settings), self_contact=False, **changes),
-        conditions=conditions,
+        mesh, tables, start_m, friction=friction, fixed=fixed, settings=own, conditions=conditions
     )
     solver.start()
     return solver

@@ -20,12 +20,7 @@ import pyarrow as pa
 from slipstitch.base.errors import BadInput, first_line
 from slipstitch.base.provenance import open_parquet, read_json, read_metadata, write_parquet
 
-_SCALARS = {
-    "frame": pa.int32(),
-    "time_s": pa.float64(),
-    "stage_x_m": pa.float64(),
-    "stage_z_m": pa.float64(),
-}
+_SCALARS = {"frame": pa.int32()} | dict.fromkeys(("time_s", "stage_x_m", "stage_z_m"), pa.float64())
 DIFFERENCES = "differences_um"  # column of the positions
 UNIT_M = 1e-6
 # Farther from the origin float32 tells no micrometres apart.
