@@ -91,13 +91,10 @@ def test_textures_are_put_on_without_blender(work):
         np.testing.assert_array_equal(image, more[key])
 
 
-def test_the_light_of_a_viewpoint_does_not_depend_on_those_rendered_before_it(work):
+def test_light_and_images_do_not_depend_on_what_was_rendered_before_or_in_one_go(work):
     assert shade(work, "v01", packs="alone") == 0
     alone, after = (pq.read_table(work / of / f"{ONE}_v01.parquet") for of in ("alone", "packs"))
     assert alone.equals(after)
-
-
-def test_images_from_a_pack_are_those_of_one_go(work):
     path = work / f"{ONE}_whole.parquet"
     assert run(render(work, f"--viewpoint v01 --out {path}")) == 0
     whole, parts = images(path), images(work / "images" / f"{ONE}_v01.parquet")

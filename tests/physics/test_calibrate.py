@@ -221,30 +221,23 @@ def sweeps(config, folder):
     return paths
 
 
-def test_sweeps_read_from_files_give_the_settings_that_simulations_use(config, tmp_path):
-    out = tmp_path / "calibration.json"
+def test_sweeps_read_from_files_give_the_settings_and_every_file_names_its_rule_s_code(
+    config, tmp_path
+):
+    """Else a release would refuse as made by other code what the workflow finds up to date."""
+    out, again = tmp_path / "calibration.json", tmp_path / "again.svg"
     drawn = {name: tmp_path / f"{name}.svg" for name in ("checks", "strip", "settings")}
-    module.calibrate_to_file(
-        config, out, sweeps(config, tmp_path), partial(pictures.draw_pictures, drawn)
-    )
+    paths = sweeps(config, tmp_path)
+    module.calibrate_to_file(config, out, paths, partial(pictures.draw_pictures, drawn))
     written = json.loads(out.read_text())
     assert written["settings"]["newton_iterations_max"] == 30
-    assert written["strip"]["not_told"]
-    assert written["convergence"]
+    assert written["strip"]["not_told"] and written["convergence"]
     assert written["convergence_table_sha256"] == file_digest(MEASURED)
     assert all(path.exists() for path in drawn.values())
-
-
-@pytest.mark.slow
-def test_sweeps_settings_and_pictures_name_the_code_that_their_rules_compare(config, tmp_path):
-    """Else a release would refuse as made by other code what the workflow finds up to date."""
-    out, picture = tmp_path / "calibration.json", tmp_path / "strip.svg"
-    paths = sweeps(config, tmp_path)
-    module.calibrate_to_file(config, out, paths)
-    pictures.draw_again(out, {"strip": picture})
-    stages = {path: read_provenance(path)["stage"] for path in (*paths, out, picture)}
+    pictures.draw_again(out, {"strip": again})
+    stages = {path: read_provenance(path)["stage"] for path in (*paths, out, again)}
     assert stages == dict.fromkeys(paths, "calibrate.sweep") | {
-        out: "calibrate.calibration", picture: "calibrate.pictures"
+        out: "calibrate.calibration", again: "calibrate.pictures"
     }  # fmt: skip
     rules = (Path(__file__).parents[2] / "rules/calibrate.smk").read_text(encoding="utf-8")
     assert set(stages.values()) == set(re.findall(r'code_of\("(.*?)"\)', rules))

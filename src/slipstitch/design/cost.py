@@ -172,6 +172,7 @@ def estimate(config: Config) -> list[StageEstimate]:
     """Cost of each stage of the chain, in order; jobs as Snakemake counts them but for ``all``."""
     of, one_s = _Counted(config), job_costs_s(config)
     image_bytes = IMAGE_BYTES * config.render.pixels**2
+    images_bytes = of.videos * of.kept * image_bytes
     trajectory = TRAJECTORY_BYTES * config.simulation.vertices_per_side**2
     splits, seeds = len(config.train.splits), len(config.instrument.seeds)
     instruments, averages = splits * seeds, splits * (seeds > 1)
@@ -184,17 +185,12 @@ def estimate(config: Config) -> list[StageEstimate]:
             + of.shards * of.frames * PACK_BYTES * config.render.pixels**2
             + of.runs * PREVIEW_BYTES,
         ),
-        "sample": (2, of.videos * of.kept * image_bytes),  # the table of ids counts here
+        "sample": (2, images_bytes),  # the table of ids counts here
         "train": (of.networks, of.networks * 4e6 * (config.train.width / 0.25) ** 2),
         "instrument": (instruments + averages, instruments * 2e6 + averages * 4e6),
         "evaluate": (1, 1e6),
         "criticise": (len(config.criticise.cases), 1e6 * len(config.criticise.cases)),
-        "release": (
-            1,
-            RELEASE_BYTES
-            + of.videos * of.kept * image_bytes
-            + (of.shards + 2 * of.runs) * RECORD_BYTES,
-        ),
+        "release": (1, RELEASE_BYTES + images_bytes + (of.shards + 2 * of.runs) * RECORD_BYTES),
         "audit": (1, 1e5 + 30.0 * of.videos),
         "report": (1, REPORT_BYTES),
     }

@@ -237,13 +237,10 @@ def _foreign_numbers(
 
 
 def _size(path: str | os.PathLike, content: Mapping[str, Any]) -> tuple[int, int]:
-    if _value(content, _SIZE) is not None:
-        size = _foreign_numbers(path, content, _SIZE, "image_size")
-    elif _value(content, _WIDTH) is None or _value(content, _HEIGHT) is None:
+    names = (_SIZE,) if _value(content, _SIZE) is not None else (_WIDTH, _HEIGHT)
+    if any(_value(content, one) is None for one in names):
         raise BadInput(f"{path}: no image_width and image_height; add them, in pixels")
-    else:
-        of = ((_WIDTH, "image_width"), (_HEIGHT, "image_height"))
-        size = np.concatenate([_foreign_numbers(path, content, *names) for names in of])
+    size = np.concatenate([_foreign_numbers(path, content, one, "image_size") for one in names])
     if size.shape != (2,) or (size < 1).any() or (size % 1 != 0).any():
         raise BadInput(f"{path}: the size of the image must be two whole numbers: width, height")
     return int(size[0]), int(size[1])

@@ -102,12 +102,10 @@ def choose(trials: Sequence[Trial]) -> Trial:
     if meeting:
         return min(meeting, key=lambda trial: trial["work"])
     best = min(allowed, key=lambda trial: (trial["wrong_regimes"], trial["distance"]))
+    strain, friction = best["strain_error"], best["friction_error"]
     came = "no run slipped"
-    if best["strain_error"] is not None:
-        came = (
-            f"slip strain within {best['strain_error']:.2g}, friction within "
-            f"{best['friction_error']:.2g}"
-        )
+    if strain is not None:
+        came = f"slip strain within {strain:.2g}, friction within {friction:.2g}"
     raise DemandNotMet(
         f"no settings meet the requirements (slip strain within {STRIP_SLIP_STRAIN:g}, friction "
         f"within {STRIP_FRICTION:g}, correct regimes); closest: {describe(best)} with {came}, "

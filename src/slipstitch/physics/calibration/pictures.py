@@ -199,7 +199,7 @@ def strip_figure(calibration: Mapping[str, Any]) -> Figure:
                 )  # fmt: skip
         label = f"simulated, Young's modulus {modulus / 1e9:.3g} GPa"
         handles.append(Line2D([], [], color=colour, marker=marker, lw=0, ms=5, label=label))
-    flat = {"mfc": "white", "lw": 0, "ms": 5, "label": "foot lies flat"}
+    flat: dict[str, Any] = {"mfc": "white", "lw": 0, "ms": 5, "label": "foot lies flat"}
     handles.append(Line2D([], [], color=FAINT, marker="o", **flat))
     left.legend(handles=handles, frameon=False, fontsize=8, loc="lower right")
     left.set(title="Strip pushed on the floor", ylabel="vertical strain ε at slip")

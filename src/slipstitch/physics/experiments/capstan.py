@@ -104,9 +104,5 @@ def _wrapped(
     fixed[-2:] = True
     tension_N = MEMBRANE_STIFFNESS_N_M * held_strain * rest_m
     tables = specimen.cylindrical_strip_tables(MEMBRANE_STIFFNESS_N_M, _rigidity(held_strain))
-    conditions = Conditions(
-        gravity_m_s2=(0.0, 0.0, 0.0),
-        nodal_force_N=tension_N * turn / 2,
-        ground_curvature_per_m=1 / RADIUS_M,
-    )
+    conditions = Conditions((0.0, 0.0, 0.0), 1 / RADIUS_M, nodal_force_N=tension_N * turn / 2)
     return specimen.started(settings, mesh, tables, start_m, fixed, friction, conditions), start_m
