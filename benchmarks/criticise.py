@@ -39,8 +39,8 @@ from slipstitch.criticise.statement import statement
 from slipstitch.criticise.verdict import analyse
 from slipstitch.criticise.verdict_data import verdict_of
 
-# What campaigns from 300000 to 310299 got wrong led to changes of the criticism.
-FIRST_SEED, CASES = 320_000, 300
+# What campaigns from 300000 to 320299 got wrong led to changes of the criticism.
+FIRST_SEED, CASES = 330_000, 300
 OUTLIERS, NOISE = (0.0, 0.02, 0.05), (1.0, 1.5, 2.0)
 KEPT = ("verdict", "causes", "alternatives", "reason", "parameters", "null", "gain", "ranking")
 # What effects of no library follow, as a verdict calls it.
