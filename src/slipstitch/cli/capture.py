@@ -65,7 +65,8 @@ def camera(arguments: options.Arguments) -> None:
     board = _board(arguments)
     is_measured = None not in (arguments.place_mm, arguments.thickness_mm)
     turned = arguments.angle_deg or 0.0, arguments.thickness_mm or 0.0
-    place = FloorPlace(*(arguments.place_mm or (0.0, 0.0)), *turned, is_measured)
+    x_mm, y_mm = arguments.place_mm or (0.0, 0.0)
+    place = FloorPlace(x_mm, y_mm, *turned, is_measured)
     source, out = arguments.source or list(arguments.views), arguments.out
     line = camera_to_file(source, board, arguments.stage_view, place, out, arguments.picture)
     print(f"{out}: {line}")

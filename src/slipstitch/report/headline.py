@@ -91,7 +91,8 @@ def share_interval(rows: Sequence[Mapping[str, Any]]) -> tuple[float, float] | N
     for row in rows:
         off = steps_off(row["predicted_value"], row["true_value"])
         right[row["seed"], row["simulation"]].append(off == 0)
-    seeds, names = (sorted({key[k] for key in right}) for k in range(2))
+    seeds = sorted({seed for seed, _ in right})
+    names = sorted({name for _, name in right})
     if len(names) < 2:
         return None
     table = [[float(np.mean(right[seed, name])) for name in names] for seed in seeds]

@@ -41,7 +41,7 @@ def new_figure(width: float, height: float) -> Figure:
 
 def legend_above(figure: Figure, lines: Mapping[str, Any], columns: int = 4) -> None:
     """One legend above all panels: names and lines."""
-    where = {"loc": "outside upper center", "ncols": columns}
+    where: Any = {"loc": "outside upper center", "ncols": columns}
     figure.legend([*lines.values()], [*lines], **where, frameon=False, fontsize=8)
 
 
@@ -70,8 +70,8 @@ def save_figure(
     date = {"Date": None} if kind == "svg" else None
     with matplotlib.rc_context(FIXED_IDS):
         # Viewers may be dark, the ink is.
-        options = {"format": kind, "dpi": dots_per_inch, "metadata": date, "facecolor": "white"}
-        figure.savefig(path, **options)
+        how: Any = {"format": kind, "dpi": dots_per_inch, "metadata": date}
+        figure.savefig(path, facecolor="white", **how)
 
 
 def data_uri(content: bytes | str, kind: str = "image/png") -> str:

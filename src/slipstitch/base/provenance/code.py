@@ -72,8 +72,8 @@ def _read(text: str) -> tuple[str, frozenset[str]]:
     tree = ast.parse(text)
     imported: set[str] = set()
     for node in ast.walk(tree):
-        documented = isinstance(node, (ast.Module, ast.ClassDef, ast.FunctionDef))
-        if documented and ast.get_docstring(node):
+        documented = (ast.Module, ast.ClassDef, ast.FunctionDef)
+        if isinstance(node, documented) and ast.get_docstring(node):
             node.body[:1] = [] if len(node.body) > 1 else [ast.Pass()]
         if isinstance(node, ast.Import):
             imported |= {alias.name for alias in node.names}

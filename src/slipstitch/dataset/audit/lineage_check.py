@@ -64,13 +64,13 @@ def check_lineage(contents: Contents, shards: Mapping[str, Shard]) -> None:
             contents.broken(
                 records.record_file(artefact.path), what, contents.clips_of(artefact.path)
             )
-    older = (
+    changed = (
         one.stage
         for one in contents.made()
         if one.record.get("code_digest") != currency.current_digest(one.stage, None, one.versions)
         or currency.catalogue_changes(one)
     )
-    if stale := sorted(set(older)):
+    if stale := sorted(set(changed)):
         contents.remarks.append(
             "labels, times, stage positions and splits are checked with code that has changed "
             f"since ({', '.join(stale)})"
