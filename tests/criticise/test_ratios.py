@@ -68,7 +68,7 @@ def test_another_protocol_takes_no_evidence_away(tmp_path):
         strongest = outcome.tests[outcome.strongest("generic")]
         assert strongest.covariate == "pos_x_mm"
     assert max(evidence.values()) < 0.01
-    assert evidence[2] <= evidence[1]
+    assert evidence[2] <= max(evidence[1], 1e-9)  # what is smaller is extrapolated
 
 
 def test_a_mechanism_that_cannot_be_negative_is_no_evidence_the_other_way(group):
