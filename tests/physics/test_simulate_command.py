@@ -77,51 +77,34 @@ def test_bad_input_is_one_line_and_leaves_nothing(words, tmp_path, capfd):
     assert list(tmp_path.iterdir()) == []
 
 
-IDS = ["m05_f0200_r00", "m09_f0700_r01"]
-
-
-@pytest.fixture
-def grid(tmp_path):
-    """The beginning of a command that simulates of a grid of two fabrics and coefficients."""
-    config = tmp_path / "grid.yaml"
-    config.write_text(
-        "grid: {materials: [gray-interlock, royal-target], frictions: [0.2, 0.7]}\n"
-        "simulation: {vertices_per_side: 7, frames: 3, settle_s: 0.2}\nsample: {frames: 2}\n"
-    )
-    return f"simulate --config {config} --simulation"
-
-
-def test_several_simulations_of_the_grid_at_once_are_those_one_by_one(grid, tmp_path, capfd):
-    both, alone = " ".join(IDS), tmp_path / "alone.parquet"
-    said = refused(capfd, f"{grid} {both} --out {alone}")
+def test_several_simulations_of_the_grid_at_once_are_those_one_by_one(simulated, tmp_path, capfd):
+    alone = tmp_path / "alone.parquet"
+    command = f"simulate --config {simulated}/grid.yaml --out {alone} --simulation"
+    said = refused(capfd, f"{command} {FIRST} {SECOND}")
     assert "1 files in --out for 2 simulations: must be one each" in said
-    together = [tmp_path / f"{one}.parquet" for one in IDS]
-    assert run(f"{grid} {both} --out {together[0]} {together[1]}") == 0
-    assert len(capfd.readouterr().out.splitlines()) == 2
-    for one, file in zip(IDS, together, strict=True):
-        assert run(f"{grid} {one} --out {alone}") == 0
-        here, there = read_trajectory(file), read_trajectory(alone)
+    for one in (FIRST, SECOND):
+        assert run(f"{command} {one}") == 0
+        here, there = read_trajectory(simulated / f"{one}.parquet"), read_trajectory(alone)
         assert np.array_equal(here.positions_m, there.positions_m)
         assert here.metadata["simulation"] == there.metadata["simulation"] == one
 
 
 def test_what_could_be_solved_is_written_although_another_failed(
-    grid, tmp_path, capfd, monkeypatch
+    simulated, tmp_path, capfd, monkeypatch
 ):
     import slipstitch.physics.simulation.drop_and_drag as module
 
     record = module._Bench.record
 
     def failing(self, frame_done):
-        if self.run.material == "royal-target":
+        if self.run.friction == 0.7:
             raise NotConverged("at 1 s it did not", {"positions_m": np.zeros((49, 3))})
         return record(self, frame_done)
 
     monkeypatch.setattr(module._Bench, "record", failing)
-    out = f"--out {tmp_path}/good.parquet {tmp_path}/bad.parquet"
-    assert run(f"{grid} {' '.join(IDS)} {out}") == 1
+    assert run(both_of(simulated / "grid.yaml", tmp_path)) == 1
     written = {path.name for path in tmp_path.iterdir()}
-    assert written == {"grid.yaml", "good.parquet", "bad.failed.npz"}
+    assert written == {f"{FIRST}.parquet", f"{SECOND}.failed.npz"}
     assert "at 1 s it did not" in capfd.readouterr().err
 
 
