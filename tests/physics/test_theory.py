@@ -10,13 +10,9 @@ from scipy.special import ellipe, ellipeinc, ellipk, ellipkinc
 from support.departures.strip import chebyshev
 
 from slipstitch.base.errors import BadInput
+from slipstitch.physics.experiments import landed_strip
 from slipstitch.physics.experiments.cantilever import heavy_cantilever
 from slipstitch.physics.experiments.capstan import capstan_theory
-from slipstitch.physics.experiments.landed_strip import (
-    _flat_foot,
-    landed_strip_slip_strain,
-    landed_strip_theory,
-)
 from slipstitch.physics.experiments.lateral_buckling import lateral_buckling_theory
 from slipstitch.physics.experiments.plane import incline_theory
 from slipstitch.physics.experiments.strip import (
@@ -71,7 +67,11 @@ def test_narrow_strip_buckles_where_the_torsion_equation_has_its_first_eigenvalu
     [
         (incline_theory, (-1.0, 0.1), "friction must be at least 0, not -1"),
         (incline_theory, (0.3, 2.0), "slope_rad"),
-        (landed_strip_theory, (1e5,), "gamma must be at least 0 and at most 3000, not 100000"),
+        (
+            landed_strip.landed_strip_theory,
+            (1e5,),
+            "gamma must be at least 0 and at most 3000, not 100000",
+        ),
         (strip_slip_strain, ("rough",), "friction must be a number, not 'rough'"),
         (strip_slip_strain, (math.nan,), "friction"),
         (strip_state, (0.34,), r"strain must be .* at most 0\.330"),
@@ -160,22 +160,25 @@ def test_shape_has_the_strips_length_and_its_foot_under_the_clamp():
 @pytest.mark.parametrize("friction", [0.05, 0.2, 0.3])
 def test_without_weight_it_is_the_pushed_strip(friction):
     expected = strip_slip_strain(friction)
-    assert landed_strip_slip_strain(friction, 0.0) == pytest.approx(expected, abs=1e-5)
+    assert landed_strip.landed_strip_slip_strain(friction, 0.0) == pytest.approx(expected, abs=1e-5)
     flat = strip_state_at_foot_angle(np.pi / 2)
-    assert landed_strip_theory(0.0).load_ratio == pytest.approx(flat.load_ratio, abs=1e-5)
+    assert landed_strip.landed_strip_theory(0.0).load_ratio == pytest.approx(
+        flat.load_ratio, abs=1e-5
+    )
 
 
 @pytest.mark.parametrize("gamma, threshold", [(10.0, 0.3802), (100.0, 0.4272), (1000.0, 0.3960)])
 def test_thresholds_of_the_physics_page(gamma, threshold):
-    assert landed_strip_theory(gamma).load_ratio == pytest.approx(threshold, abs=2e-4)
-    assert landed_strip_slip_strain(threshold + 1e-3, gamma) is None
-    assert landed_strip_slip_strain(threshold - 1e-3, gamma) > 0
+    assert landed_strip.landed_strip_theory(gamma).load_ratio == pytest.approx(threshold, abs=2e-4)
+    assert landed_strip.landed_strip_slip_strain(threshold + 1e-3, gamma) is None
+    assert landed_strip.landed_strip_slip_strain(threshold - 1e-3, gamma) > 0
 
 
 def test_forces_and_moments_on_the_whole_strip_balance():
     """Moment at the clamp: Q at the foot's depth less the weight at its lever."""
     gamma = 300.0
-    station, (_, curvature, across, down), (_, horizontal) = _flat_foot(gamma)
+    station, states, (_, horizontal) = landed_strip._flat_foot(gamma)
+    _, curvature, across, down = states
     moment = horizontal * down[-1] - gamma * trapezoid(across, station)
     assert curvature[0] == pytest.approx(moment, abs=1e-3 * abs(curvature).max())
     assert curvature[-1] == pytest.approx(0.0, abs=1e-6)

@@ -45,28 +45,22 @@ def sides_of_simulations(config: Config) -> dict[str, str]:
     split.
     """
     grid = simulations(config)
-    apart = {
-        simulation.id: "test"
-        for simulation in grid
-        if "test" in (simulation.material_role, simulation.friction_role)
-    }
+    tested = [one.id for one in grid if "test" in (one.material_role, one.friction_role)]
+    apart = dict.fromkeys(tested, "test")
     for simulation in grid:
         if simulation.material in config.sample.validation_materials:
             apart.setdefault(simulation.id, "validation")
         elif simulation.friction in config.sample.train_only_frictions:
             apart.setdefault(simulation.id, "train")
     triples = {
-        simulation.id: (simulation.material_id, simulation.friction_id, simulation.replicate_id)
-        for simulation in grid
-        if simulation.id not in apart
+        one.id: (one.material_id, one.friction_id, one.replicate_id)
+        for one in grid
+        if one.id not in apart
     }
     sample = config.sample
     shares = sample.validation_fraction, sample.test_fraction
     sides = split_by_simulation(triples.values(), *shares, config.seed, sample.hold_out)
-    return {
-        simulation.id: apart.get(simulation.id) or sides[triples[simulation.id]]
-        for simulation in grid
-    }
+    return {one.id: apart.get(one.id) or sides[triples[one.id]] for one in grid}
 
 
 def split_by_simulation(

@@ -107,11 +107,8 @@ class ElasticTables:
     @classmethod
     def of_fabric(cls, fabric: Fabric) -> "ElasticTables":
         """Sample the law of a fabric."""
-        return cls(
-            fabric.areal_density_kg_m2,
-            sample_stretching(fabric.stretching_N_m),
-            np.maximum(fabric.bending_N_m, 0.0),
-        )
+        stretching_N_m = sample_stretching(fabric.stretching_N_m)
+        return cls(fabric.areal_density_kg_m2, stretching_N_m, np.maximum(fabric.bending_N_m, 0.0))
 
 
 def stretching_stiffness(rows: np.ndarray, G00, G11, G01) -> np.ndarray:
@@ -152,9 +149,6 @@ def isotropic_tables(
     """
     plane = membrane_stiffness_N_m / (1 - poisson_ratio**2)
     k = np.array([plane, poisson_ratio * plane, plane, (1 - poisson_ratio) * plane])
-    shape = (STRAIN_NODES, STRAIN_NODES, STRAIN_NODES, 4)
-    return ElasticTables(
-        areal_density_kg_m2,
-        np.broadcast_to(k, shape).copy(),
-        np.full((FOLD_DIRECTIONS, FOLD_CURVATURES), hinge_stiffness_N_m),
-    )
+    stretching_N_m = np.broadcast_to(k, (*[STRAIN_NODES] * 3, 4)).copy()
+    bending_N_m = np.full((FOLD_DIRECTIONS, FOLD_CURVATURES), hinge_stiffness_N_m)
+    return ElasticTables(areal_density_kg_m2, stretching_N_m, bending_N_m)

@@ -167,14 +167,8 @@ def _result(
     curve = np.column_stack((tail + ahead, up))
     if tail > 0.0:
         curve = np.vstack(([0.0, 0.0], curve))
-    return SteadyDrag(
-        pull_over_w_m=problem.friction * floor_load * unit,
-        floor_load_over_w_m=floor_load * unit,
-        flat_tail_m=tail * unit,
-        holder_ahead_of_tail_m=float(curve[-1, 0]) * unit,
-        regime=regime,
-        curve_m=curve * unit,
-    )
+    loads_m = problem.friction * floor_load * unit, floor_load * unit
+    return SteadyDrag(*loads_m, tail * unit, float(curve[-1, 0]) * unit, regime, curve * unit)
 
 
 def strip_drag(

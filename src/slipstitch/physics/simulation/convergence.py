@@ -90,9 +90,7 @@ def measured_convergence(
         verdict = worst if len(known) == len(cases) or worst == NOT_CONVERGED else None
     return {
         "table_sha256": study_digest(measured),
-        "studied": {
-            name: value for name, value in study["studied"].items() if name != "simulation"
-        },
+        "studied": {name: one for name, one in study["studied"].items() if name != "simulation"},
         "differ": differ,
         "cases": cases,
         "verdict": verdict,
