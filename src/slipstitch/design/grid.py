@@ -184,12 +184,8 @@ def films(config: Config) -> dict[tuple[str, str], dict[str, str]]:
     result: dict[tuple[str, str], dict[str, str]] = {}
     for view in viewpoints(config):
         if view["role"] == "test" and render.test_viewpoint_videos is not None:
-            every = [
-                (simulation.id, texture)
-                for simulation in grid
-                if "test" not in (simulation.material_role, simulation.friction_role)
-                for texture in trained
-            ]
+            trains = [s.id for s in grid if "test" not in (s.material_role, s.friction_role)]
+            every = [(simulation, texture) for simulation in trains for texture in trained]
             every.sort(key=lambda one: _digest(config.seed, view["name"], one[0], names[one[1]]))
             for simulation, texture in sorted(every[: render.test_viewpoint_videos]):
                 result.setdefault((simulation, view["id"]), {})[texture] = names[texture]

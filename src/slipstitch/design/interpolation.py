@@ -49,15 +49,11 @@ def interpolations(config: Config) -> dict[tuple[str, str], Interpolation]:
     which the fabric trains, so that its films cover all of them.
     """
     settings = config.render.interpolation
-    family = [
-        (identity, name)
-        for identity, name in viewpoint_ids(config.render).items()
-        if VIEWPOINTS[name].drawn
-    ]
+    names = viewpoint_ids(config.render).items()
+    family = [(identity, name) for identity, name in names if VIEWPOINTS[name].drawn]
     if not settings.share or not family:
         return {}
-    path = StagePath(**dict(config.simulation.stage))
-    height_m = path.lowered_height_m
+    height_m = StagePath(**dict(config.simulation.stage)).lowered_height_m
     sides = sides_of_simulations(config)
     trained: dict[tuple[str, str], list[Simulation]] = defaultdict(list)
     for simulation in simulations(config):

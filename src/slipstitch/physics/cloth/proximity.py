@@ -26,8 +26,6 @@ TINY = wp.constant(wp.float64(1e-30))
 KEPT = wp.constant(wp.float64(0.1))  # part of the distance that advancement keeps
 ADVANCES_MAX = wp.constant(200)
 PAIRS_MAX = 2_000_000  # nearer than asked for: more is an error
-
-
 Corners = wp.types.matrix(shape=(4, 3), dtype=wp.float64)  # rows: the four nodes of a pair
 
 

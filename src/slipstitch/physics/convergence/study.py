@@ -252,13 +252,10 @@ def summary(compared: list[dict[str, Any]]) -> list[dict[str, Any]]:
 
     The verdict is the worse of those of both refinements, or None if not both were studied.
     """
-    rows: dict[tuple[str, float], dict] = {}
+    rows: dict[tuple, dict] = {}
     for comparison in compared:
-        row = rows.setdefault(
-            (comparison["material"], comparison["friction"]),
-            {name: comparison[name] for name in ("material", "friction")}
-            | {"time_step": None, "mesh": None},
-        )
+        own = {name: comparison[name] for name in ("material", "friction")}
+        row = rows.setdefault(tuple(own.values()), own | {"time_step": None, "mesh": None})
         key = comparison["kind"].replace(" ", "_")
         if row[key] is None:  # the first is the one at the chosen settings
             shifts = {name: event["shift_s"] for name, event in comparison["events"].items()}

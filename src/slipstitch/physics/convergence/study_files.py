@@ -24,8 +24,6 @@ from slipstitch.physics.simulation.trajectory import read_trajectory
 
 LEAST_MM = 1e-3
 COLUMNS_MAX = 5
-
-
 _AGAIN = "make study, picture and records with: snakemake --cores 2 convergence"
 
 

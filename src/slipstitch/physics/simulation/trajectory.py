@@ -99,17 +99,11 @@ def write_trajectory(
         pa.array(differences.ravel()), differences.shape[1]
     )
     mesh = {"pinned": np.asarray(trajectory.pinned).tolist(), "mesh": _packed_mesh(trajectory)}
-    write_parquet(
-        pa.table(arrays),
-        path,
-        {**trajectory.metadata, **mesh},
-        record,
-        compression_level=COMPRESSION_LEVEL,
-        use_dictionary=False,
-        use_byte_stream_split=[f"{DIFFERENCES}.list.element"],
-        write_statistics=False,
-        data_page_size=2**28,
-    )
+    layout = {"compression_level": COMPRESSION_LEVEL, "data_page_size": 2**28}
+    layout |= {"use_dictionary": False, "write_statistics": False}
+    planes, metadata = [f"{DIFFERENCES}.list.element"], {**trajectory.metadata, **mesh}
+    table = pa.table(arrays)
+    write_parquet(table, path, metadata, record, use_byte_stream_split=planes, **layout)
 
 
 MESH = ("rest_positions_m", "uv", "faces")
