@@ -19,17 +19,25 @@ from slipstitch.base.start import use_one_thread
 
 # Verb -> its module, in the order of the chain.
 VERBS = {
-    **dict.fromkeys(("doctor", "init"), "project"),
+    "doctor": "project",
+    "init": "project",
     "calibrate": "calibrate",
     "simulate": "simulate",
     "render": "render",
     "sample": "dataset",
-    **dict.fromkeys(("train", "instrument", "evaluate", "ablate"), "learning"),
-    **dict.fromkeys(("report", "status", "publish"), "project"),
-    **dict.fromkeys(("release", "audit"), "dataset"),
+    "train": "learning",
+    "instrument": "learning",
+    "evaluate": "learning",
+    "ablate": "learning",
+    "report": "project",
+    "status": "project",
+    "publish": "project",
+    "release": "dataset",
+    "audit": "dataset",
     "capture": "capture",
     "measure": "measure",
-    **dict.fromkeys(("criticise", "predict"), "criticise"),
+    "criticise": "criticise",
+    "predict": "criticise",
     "protocol": "calibrate",
 }
 # Only called by the workflow and the Makefile; hidden.
