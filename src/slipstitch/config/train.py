@@ -46,6 +46,7 @@ class TrainSettings(RecordedSection):
     convolutions: list[int] = Field([2, 2, 1, 1], min_length=1)
     """3 x 3 convolutions in each block (a, b, ...)"""
     initialisation: Literal["he", "glorot", "pytorch"] = "he"
+    """distribution of the first weights of convolutions: of He, Glorot, or PyTorch's default"""
 
     epochs_per_cycle: int = Field(6, ge=1)
     """epochs with the same set of viewpoints: one more each cycle, in the order of
