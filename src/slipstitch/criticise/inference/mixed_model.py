@@ -236,7 +236,7 @@ def log_likelihood(clusters: Clusters, scatter: Scatter, fixed: int, restricted:
     gram = clusters.gram(scatter)[np.ix_(order, order)]
     random = np.arange(last + 1) < last - fixed
     gram[np.diag_indices_from(gram)] += random
-    gram[np.diag_indices(last)] *= 1.0 + 1e-10
+    gram[np.diag_indices(last)] *= 1.0 + 1e-9  # columns may be combinations of others
     added = np.linalg.cholesky(gram).diagonal() ** 2
     integrated = added[:last] if restricted else added[: last - fixed]
     return float(-0.5 * (clusters.log_determinant(scatter) + np.log(integrated).sum() + added[-1]))
