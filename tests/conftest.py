@@ -15,6 +15,13 @@ from slipstitch.base.provenance import record
 
 # Tests in folders of their own, or of one chain that takes minutes, share a process.
 ALONE = ("dry_run", "chosen_settings", "wheel")
+# These begin first, in this order: else one process works on for minutes after the other's end.
+LONGEST = (
+    "chain",
+    "tests/criticise/test_cloth_campaigns.py",
+    "tests/physics/test_self_contact.py",
+    "tests/criticise/test_departures.py",
+)
 
 
 class SharedFixtures(LoadScopeScheduling):
@@ -27,8 +34,9 @@ class SharedFixtures(LoadScopeScheduling):
         return file
 
     def _assign_work_unit(self, node) -> None:
-        if "chain" in self.workqueue:  # the longest: it begins first
-            self.workqueue.move_to_end("chain", last=False)
+        for scope in reversed(LONGEST):
+            if scope in self.workqueue:
+                self.workqueue.move_to_end(scope, last=False)
         super()._assign_work_unit(node)
 
 
