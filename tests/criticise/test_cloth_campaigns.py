@@ -59,7 +59,8 @@ def test_every_planted_effect_is_found_and_the_new_simulation_is_closer(name, tm
     assert named(verdict) == ANSWERS.get(name, {(name,)})
     low, high = again["all"]["gain_ci95"]
     assert (low <= 0 <= high) if name in AS_CLOSE else low > 0
-    assert again["all"]["rmse_extended_mm"] < 1.1 * 1.5  # the noise
+    # The noise is 1.5 mm; zeros of cameras and stage are not part of a simulation.
+    assert again["all"]["rmse_extended_mm"] < 1.5 * (1.2 if name in AS_CLOSE else 1.1)
     assert model["friction_law"]["face"]["mechanisms"].keys() <= {name}
     assert "simulated again" in (tmp_path / "page.html").read_text()
 

@@ -51,7 +51,7 @@ def test_a_tilt_is_at_its_bound_with_one_of_its_components():
 
 
 def test_a_cause_that_is_hardly_known_is_named_and_marked_but_not_exported(tmp_path, capsys):
-    planted(19, tmp_path, {"wear": {"wear": 0.6, "wear_r0": 36.0}}, "incline")
+    planted(19, tmp_path, {"wear": {"wear": 0.6, "wear_r0": 45.0}}, "incline")
     model, names = tmp_path / "m.yaml", ("p.md", "p.html")
     words = ["criticise", str(tmp_path), "--out", str(tmp_path / "v.json"), "--replicates", "100"]
     for name in names:

@@ -70,7 +70,7 @@ def test_the_page_of_a_real_case_says_what_one_specimen_cannot_tell(tmp_path):
     assert "not cloth" in page and "first peak" in page
     assert "adhesion (part of the friction" in page
     assert "## What this design could have seen" in page and "(a limit, not simulated)" in page
-    assert "| push | 18 | 7.8 |" in page
+    assert "| push | 14 | 7.6 |" in page
 
 
 def test_the_sentence_of_a_none_does_not_deny_what_is_within_the_runs():
