@@ -9,7 +9,7 @@ from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.inference.candidates import left_along_own, rarity
 from slipstitch.criticise.inference.fit import Fit
 from slipstitch.criticise.inference.intervals import Intervals
-from slipstitch.criticise.inference.structure import Test
+from slipstitch.criticise.inference.structure import Test as Alternative
 from slipstitch.criticise.verdict import RULES
 
 
@@ -62,7 +62,7 @@ def test_a_stage_is_blamed_for_lost_motion_only_against_its_prior_odds():
 
 def test_a_shape_along_the_own_covariate_counts_by_itself():
     def left(covariate, log_p, statistic=9.0):
-        tests = [Test(np.zeros((1, 1)), covariate=name) for name in (covariate, "rh_pct")]
+        tests = [Alternative(np.zeros((1, 1)), covariate=name) for name in (covariate, "rh_pct")]
         log_p, statistic = np.array([log_p, 0.1]), np.array([statistic, 0.1])
         return SimpleNamespace(tests=tests, log_p=log_p, statistic=statistic)
 
