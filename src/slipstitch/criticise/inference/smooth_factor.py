@@ -228,13 +228,12 @@ class Problem:
 def sums_of(model: Fitted) -> tuple[np.ndarray, np.ndarray, float]:
     """X' V^-1 X, X' V^-1 y and the log-likelihood of no columns, over all protocols."""
     both = np.column_stack([model.columns, model.target])
-    gram = mixed_model.gram_of(model.groups, model.scatters, both)
-    bare = -0.5 * gram[-1, -1]
+    gram, bare = np.zeros((both.shape[1], both.shape[1])), 0.0
     for group in model.groups:
-        scatter = model.scatters[group.protocol]
-        bare += scatter.log_prior()
-        bare -= 0.5 * Clusters(group, both[group.index, :0]).log_determinant(scatter)
-    return gram[:-1, :-1], gram[:-1, -1], float(bare)
+        scatter, clusters = model.scatters[group.protocol], Clusters(group, both[group.index])
+        gram += clusters.gram(scatter)
+        bare += scatter.log_prior() - 0.5 * clusters.log_determinant(scatter)
+    return gram[:-1, :-1], gram[:-1, -1], float(bare - 0.5 * gram[-1, -1])
 
 
 def _evidence(model: Fitted, sums, root: np.ndarray | None, restricted: bool) -> float:
