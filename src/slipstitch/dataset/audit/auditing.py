@@ -57,9 +57,11 @@ def explain(contents: Contents, clip: str) -> str:
 
 def _clip(contents: Contents, row: Mapping[str, Any]) -> list[str]:
     shard = contents.folder / row["shard"]
-    found = decoded_shard(shard).pixels.get(row["video"]) if shard.is_file() else "no shard"
-    pixels = "equal to the decoded pixels"
-    if found != row["pixels_sha256"]:
+    if not shard.is_file():
+        pixels = "the shard is missing"
+    elif (found := decoded_shard(shard).pixels.get(row["video"])) == row["pixels_sha256"]:
+        pixels = "equal to the decoded pixels"
+    else:
         pixels = f"NOT equal to the decoded pixels ({found})"
     labels, sides = [], []
     for name, value in row.items():
