@@ -9,8 +9,16 @@ from slipstitch.base.errors import BadInput
 
 # What a workflow folder consists of; setup.py puts the same into the wheel.
 PARTS = (
-    *("Snakefile", "config.yaml", "config", "data/cases", "envs", "profiles", "rules", "workflow"),
-    *("CITATION.cff", "LICENSE"),
+    "Snakefile",
+    "config.yaml",
+    "config",
+    "data/cases",
+    "envs",
+    "profiles",
+    "rules",
+    "workflow",
+    "CITATION.cff",
+    "LICENSE",
 )
 INSTALLED = "slipstitch_workflow"  # beside the package: no stage's code digest covers it
 PACKAGE = Path(__file__).resolve().parents[1]

@@ -53,9 +53,10 @@ def camera(arguments: options.Arguments) -> None:
 
     for name, most in (("place_mm", 10_000), ("angle_deg", 360), ("thickness_mm", 1000)):
         value = getattr(arguments, name)
-        if value is not None:
-            options.require(arguments, ["stage_view"], options.flag(name))
-        for one in value if isinstance(value, tuple) else [value or 0.0]:
+        if value is None:
+            continue
+        options.require(arguments, ["stage_view"], options.flag(name))
+        for one in value if isinstance(value, tuple) else [value]:
             if not abs(one) <= most:
                 raise BadInput(f"{options.flag(name)}: {one:g}; must be from {-most} to {most}")
     if bool(arguments.source) == bool(arguments.views):
@@ -64,9 +65,10 @@ def camera(arguments: options.Arguments) -> None:
         options.refuse(arguments, ("picture",), "--from")
     board = _board(arguments)
     is_measured = None not in (arguments.place_mm, arguments.thickness_mm)
-    turned = arguments.angle_deg or 0.0, arguments.thickness_mm or 0.0
     x_mm, y_mm = arguments.place_mm or (0.0, 0.0)
-    place = FloorPlace(x_mm, y_mm, *turned, is_measured)
+    place = FloorPlace(
+        x_mm, y_mm, arguments.angle_deg or 0.0, arguments.thickness_mm or 0.0, is_measured
+    )
     source, out = arguments.source or list(arguments.views), arguments.out
     line = camera_to_file(source, board, arguments.stage_view, place, out, arguments.picture)
     print(f"{out}: {line}")

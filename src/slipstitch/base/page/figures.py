@@ -41,8 +41,10 @@ def new_figure(width: float, height: float) -> Figure:
 
 def legend_above(figure: Figure, lines: Mapping[str, Any], columns: int = 4) -> None:
     """One legend above all panels: names and lines."""
-    where: Any = {"loc": "outside upper center", "ncols": columns}
-    figure.legend([*lines.values()], [*lines], **where, frameon=False, fontsize=8)
+    figure.legend(
+        [*lines.values()], [*lines], loc="outside upper center", ncols=columns, frameon=False,
+        fontsize=8,
+    )  # fmt: skip
 
 
 def svg(figure: Figure) -> str:
@@ -67,11 +69,14 @@ def save_figure(
 
     The kind is png or svg, the resolution of a PNG alone.
     """
-    date = {"Date": None} if kind == "svg" else None
     with matplotlib.rc_context(FIXED_IDS):
-        # Viewers may be dark, the ink is.
-        how: Any = {"format": kind, "dpi": dots_per_inch, "metadata": date}
-        figure.savefig(path, facecolor="white", **how)
+        figure.savefig(
+            path,
+            format=kind,
+            dpi=dots_per_inch,
+            metadata={"Date": None} if kind == "svg" else None,
+            facecolor="white",  # viewers may be dark, the ink is
+        )
 
 
 def data_uri(content: bytes | str, kind: str = "image/png") -> str:

@@ -68,8 +68,12 @@ def atomic_path(path: str | os.PathLike) -> Iterator[Path]:
 @contextlib.contextmanager
 def _own_folder(final: Path) -> Iterator[Path]:
     """A temporary folder beside `final`, locked for as long as this process uses it."""
-    where: Any = {"suffix": TEMPORARY_SUFFIX, "dir": final.parent, "ignore_cleanup_errors": True}
-    with tempfile.TemporaryDirectory(prefix=f".{final.stem}.", **where) as name:
+    with tempfile.TemporaryDirectory(
+        prefix=f".{final.stem}.",
+        suffix=TEMPORARY_SUFFIX,
+        dir=final.parent,
+        ignore_cleanup_errors=True,
+    ) as name:
         descriptor = os.open(name, os.O_RDONLY)
         try:
             with contextlib.suppress(OSError):  # a file system without locks

@@ -163,9 +163,9 @@ def limited_memory() -> Iterator[None]:
         yield  # not Linux
         return
     limit = now + MEMORY_BYTES
-    resource.setrlimit(
-        resource.RLIMIT_DATA, (limit if soft == resource.RLIM_INFINITY else min(limit, soft), hard)
-    )
+    if soft != resource.RLIM_INFINITY:
+        limit = min(limit, soft)
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, hard))
     try:
         yield
     except MemoryError:
