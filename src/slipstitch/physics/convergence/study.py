@@ -239,10 +239,15 @@ def comparisons(config: Config, runs: Mapping[str, Trajectory]) -> list[dict[str
             for case in members[:-1]:
                 run = runs[case.id]
                 found.append(
-                    {name: getattr(case, name) for name in ("material", "friction")}
-                    | {"kind": kind, "time_step_s": run.metadata["step_s"]}
-                    | {"vertices_per_side": case.vertices_per_side, "finest": members[-1].id}
-                    | compare(run, runs[members[-1].id], sides)
+                    {
+                        "material": case.material,
+                        "friction": case.friction,
+                        "kind": kind,
+                        "time_step_s": run.metadata["step_s"],
+                        "vertices_per_side": case.vertices_per_side,
+                        "finest": members[-1].id,
+                        **compare(run, runs[members[-1].id], sides),
+                    }
                 )
     return found
 

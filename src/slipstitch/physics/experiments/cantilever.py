@@ -51,9 +51,15 @@ def _from_the_tip(parameter: float) -> HeavyCantilever:
         return state[0] - math.pi / 2
 
     clamp.terminal = True  # type: ignore[attr-defined]  # how SciPy is told to stop there
-    start = (tip_deficit, 0.0, 0.0, 0.0)
-    ways = {"events": clamp, "rtol": 1e-11, "atol": 1e-60}
-    solution = solve_ivp(slope, (0.0, 50.0), start, "DOP853", **ways)
+    solution = solve_ivp(
+        slope,
+        (0.0, 50.0),
+        (tip_deficit, 0.0, 0.0, 0.0),
+        method="DOP853",
+        events=clamp,
+        rtol=1e-11,
+        atol=1e-60,
+    )
     across, down = solution.y_events[0][0, 2:]
     return HeavyCantilever(
         solution.t_events[0][0] ** 3, float(down / across), 0.5 * math.pi - tip_deficit
