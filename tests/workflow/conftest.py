@@ -9,7 +9,7 @@ from support import equal_results, kills
 from support.workflow_copy import Workflow
 
 
-@pytest.fixture(scope="session")
+@pytest.fixture(scope="module")  # another file may have made results in its own
 def workflow(tmp_path_factory) -> Workflow:
     """The workflow at the default scale, nothing made yet."""
     return Workflow(tmp_path_factory.mktemp("workflow"))
