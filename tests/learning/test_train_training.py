@@ -135,6 +135,8 @@ def test_the_network_before_fine_tuning_is_kept_and_tells_the_material(dataset, 
     folder = tmp_path / "material"
     with pytest.raises(KeyboardInterrupt):
         train(dataset, folder, "material_baseline", changes=few, after_step=kill)
+    # Nothing but the checkpoint: Snakemake removes all other files of a job that was killed.
+    assert [file.name for file in folder.iterdir()] == [CHECKPOINT]
     train(dataset, folder, "material_baseline", changes=few)
     kept = load_model(folder / "all_views")
     assert kept.card["epochs"] == 2 and load_model(folder).card["epochs"] == 4

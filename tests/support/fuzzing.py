@@ -213,7 +213,7 @@ def _networks(config, folder: Path) -> Found:
     }  # fmt: skip
     models = folder / "models/by_video/friction_baseline/seed0"
     models.mkdir(parents=True)
-    save_model(network, card, models)
+    save_model(network.state_dict(), card, models)
     yield "weights", models / "model.safetensors", lambda: load_model(models)
     yield "model card", models / "model.json", lambda: load_model(models)
     yield "models of a folder", models / "model.json", lambda: Trained(folder / "models").load()

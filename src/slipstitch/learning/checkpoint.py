@@ -6,7 +6,7 @@ and JSON for the rest. Nothing in it is pickled: reading one cannot run anything
 
 import hashlib
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ class Progress:
     # losses and other columns of the history, summed over the current epoch's videos so far
     sums: dict[str, float] = field(default_factory=dict)
     history: list[dict[str, Any]] = field(default_factory=list)  # one row per finished epoch
+    kept: dict[str, torch.Tensor] = field(default_factory=dict)  # weights before the last phase
 
 
 def save_checkpoint(
@@ -47,11 +48,12 @@ def save_checkpoint(
     tensors = {f"network.{name}": value for name, value in network.state_dict().items()}
     for number, memory in optimizer.state_dict()["state"].items():
         tensors |= {f"optimizer.{number}.{name}": value for name, value in memory.items()}
+    tensors |= {f"kept.{name}": value for name, value in progress.kept.items()}
     tensors["random"] = torch.get_rng_state()
     tensors = {name: value.contiguous() for name, value in tensors.items()}
     notes = {
         "identity": json.dumps(identity, sort_keys=True),
-        "progress": json.dumps(asdict(progress)),
+        "progress": json.dumps(asdict(replace(progress, kept={}))),
     }
     taken_s = [now - then for now, then in zip(start_clock(), started, strict=True)]
     notes["taken_s"] = json.dumps(taken_s)  # wall and CPU
@@ -96,13 +98,11 @@ def load_checkpoint(
             None,
             f"{path}: from another training (data, settings or code differ); starting from scratch",
         )
-    network.load_state_dict(
-        {
-            name.removeprefix("network."): value
-            for name, value in tensors.items()
-            if name.startswith("network.")
-        }
+    weights, progress.kept = (
+        {name.removeprefix(of): value for name, value in tensors.items() if name.startswith(of)}
+        for of in ("network.", "kept.")
     )
+    network.load_state_dict(weights)
     memory: dict[int, dict[str, torch.Tensor]] = {}
     for name, value in tensors.items():
         if name.startswith("optimizer."):

@@ -282,10 +282,12 @@ def class_probabilities(
     return torch.cat(parts).numpy()
 
 
-def save_model(network: LRCN, card: dict[str, Any], folder: str | Path) -> dict[str, Any]:
+def save_model(
+    weights: dict[str, torch.Tensor], card: dict[str, Any], folder: str | Path
+) -> dict[str, Any]:
     """Write ``model.safetensors`` and ``model.json``; return the card as written."""
     card = {"format": FORMAT, **card}
-    return write_weights(network.state_dict(), card, Path(folder) / WEIGHTS, Path(folder) / CARD)
+    return write_weights(weights, card, Path(folder) / WEIGHTS, Path(folder) / CARD)
 
 
 def load_model(folder: str | Path) -> LrcnModel:

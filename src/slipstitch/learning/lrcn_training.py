@@ -222,7 +222,9 @@ def _train_and_write(
     """Train; write the network, also before fine-tuning if that is kept; return the card."""
     run = trainer.run
 
-    def save(folder: Path) -> dict[str, Any]:
+    def save(
+        weights: dict[str, torch.Tensor], history: Sequence[dict[str, Any]], folder: Path
+    ) -> dict[str, Any]:
         _, frames, pixels = trainer.videos.pixels.shape[:3]
         card = {
             **known,
@@ -231,21 +233,21 @@ def _train_and_write(
             "pixels": pixels,
             "frames": frames,
             "viewpoints": list(view_order),
-            **trainer.facts(),
+            **trainer.facts(history),
             "use": "predicts the class in drop-and-drag videos rendered like this dataset; its "
             "performance on other videos, real ones included, is unknown",
         }
-        return save_model(trainer.network, card, folder)
+        return save_model(weights, card, folder)
 
     files = [WEIGHTS, CARD]
-    if trainer.settings.keep_all_views and trainer.phases[-1].name == FINE_TUNING:
-        files += [f"{ALL_VIEWS}/{name}" for name in files]
-        before = trainer.phases[-2]
-        trainer.at_end_of = lambda phase: (
-            save(Path(run.out) / ALL_VIEWS) if phase is before else None
-        )
+    fine_tunes = trainer.phases[-1].name == FINE_TUNING
+    trainer.keeps_before_last = trainer.settings.keep_all_views and fine_tunes
     trainer.train()
-    card = save(Path(run.out))
+    if trainer.kept:
+        files += [f"{ALL_VIEWS}/{name}" for name in files]
+        before = [row for row in trainer.history if row["stage"] != FINE_TUNING]
+        save(trainer.kept, before, Path(run.out) / ALL_VIEWS)
+    card = save(trainer.network.state_dict(), trainer.history, Path(run.out))
     trainer.write_record(files, told)
     return card
 

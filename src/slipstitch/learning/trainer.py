@@ -124,8 +124,7 @@ class Trainer:
     plateau_epochs: int | None = None  # after which it is so first; None: in the end only
     diverged_hint: str  # which settings to look at, for the messages
     plateau_hint: str
-    # called with every phase that ends
-    at_end_of: Callable[[Phase], Any] | None = None
+    keeps_before_last: bool = False  # whether the weights before the last phase are kept
 
     def __init__(
         self, settings: Any, run: Run, videos: Videos, training: np.ndarray, started: Any,
@@ -139,6 +138,7 @@ class Trainer:
         self.bfloat16 = computes_bfloat16(settings.precision)
         self.out = Path(run.out)
         self.history: list[dict[str, Any]] = []  # a row per finished epoch
+        self.kept: dict[str, Tensor] = {}
 
     def videos_of(self, phase: Phase) -> tuple[np.ndarray, np.ndarray]:
         """Return the numbers of the videos that train in a phase, and of those that validate it."""
@@ -201,18 +201,20 @@ class Trainer:
         self.saved_at = time.monotonic()
         told = {"desc": self.name, "unit": "epoch", "disable": not sys.stderr.isatty()}
         bar = tqdm(total=most, initial=progress.epoch, **told)
-        self.history = progress.history
+        self.history, self.kept = progress.history, progress.kept
         following = place(self.phases, self.history, left_chance)
         while following is not None:
             phase, epoch = following
             self.history = [*progress.history, self._epoch(progress, phase, epoch)]
-            progress = Progress(epoch=progress.epoch + 1, history=self.history)
             following = place(self.phases, self.history, left_chance)
+            # In the checkpoint, not beside: Snakemake removes the files of an unfinished job.
+            if self.keeps_before_last and following and following == (self.phases[-1], 0):
+                weights = self.network.state_dict()
+                self.kept = {name: value.clone() for name, value in weights.items()}
+            progress = Progress(epoch=progress.epoch + 1, history=self.history, kept=self.kept)
             self._print_epoch(phase, most, bar)
             if following is None or progress.epoch == self.plateau_epochs:
                 self._check_plateau()
-            if self.at_end_of is not None and (following is None or following[0] is not phase):
-                self.at_end_of(phase)
         bar.close()
 
     def _epoch(self, progress: Progress, phase: Phase, epoch: int) -> dict[str, Any]:
@@ -288,16 +290,16 @@ class Trainer:
                 f"model is written ({self.plateau_hint})"
             )
 
-    def facts(self) -> dict[str, Any]:
-        """Return the entries on the training that all model cards have."""
+    def facts(self, history: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+        """Return what all model cards say of a training with this history."""
         return {
             "bfloat16": self.bfloat16,
             "settings": self.settings.model_dump(mode="json"),
             "dataset_digest": self.videos.digest,
             "training_videos": int(self.training.sum()),
             "training_simulations": len(simulations(self.videos, self.training)),
-            "epochs": len(self.history),
-            "train_loss": self.history[-1]["train_loss"],
+            "epochs": len(history),
+            "train_loss": history[-1]["train_loss"],
             "chance_loss": self.chance_loss,
             "parameters": sum(weight.numel() for weight in self.network.parameters()),
             "multiply_accumulates_per_frame": self.network.multiply_accumulates,
