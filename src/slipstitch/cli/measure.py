@@ -24,6 +24,8 @@ BAD_INPUT_EXIT_CODE = 2
 @option("--frame-rate-hz", type=float, help="frame rate, if the file's timestamps are wrong")
 @option("--clamp-height-mm", type=float, help="measured height of the lowered clamps: corrects µ")
 @option("--clamp-height-error-mm", type=float, help="its standard deviation (default: 0.2)")
+@option("--areal-density-g-m2", type=float, help="weighed: the alarm says if it was never tested")
+@option("--bending-length-mm", type=float, help="by Peirce's cantilever (ISO 9073-7): likewise")
 @options.switch("--force", "measure, with an alarm, also outside the range of camera poses")
 @options.thread_count(default=2)
 def measure(arguments: options.Arguments) -> int:
@@ -37,6 +39,7 @@ def measure(arguments: options.Arguments) -> int:
     from slipstitch.film.measure import EXAMPLE_CAMERA, EXAMPLE_VIDEO, known_of_example
     from slipstitch.film.measure.measurement_files import measured_pair, write_measurements
     from slipstitch.film.measure.measuring_bench import measuring_bench
+    from slipstitch.film.measure.told_fabric import QUANTITIES, ToldFabric
 
     _check(arguments)
     videos, camera = list(arguments.videos), arguments.camera
@@ -47,6 +50,9 @@ def measure(arguments: options.Arguments) -> int:
     bench = measuring_bench(camera, arguments.model, arguments.config, **how)
     if arguments.clamp_height_mm is not None:
         bench = replace(bench, clamps=_clamps(arguments, bench))
+    told = {name: getattr(arguments, name) for name in QUANTITIES}
+    fabric = ToldFabric.beside(bench.instrument.card["materials"], told)
+    bench = replace(bench, fabric=fabric)
     clock = {"start_s": arguments.start_s, "frame_rate_hz": arguments.frame_rate_hz}
     pair = measured_pair(videos, bench, **clock)
     # Before the files: should one of them fail, the result is not lost.

@@ -16,6 +16,7 @@ from slipstitch.design.grid import sampled_frames
 from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.measure import SHIPPED
 from slipstitch.film.measure.clamp_height import ASSUMED_M, READING_PER_M, ClampHeight, SeenClamps
+from slipstitch.film.measure.told_fabric import QUANTITIES, ToldFabric
 from slipstitch.film.stage_video import StageVideo, problem_of_view, read_stage_video, seen_shares
 from slipstitch.images.calibrated_view import POSITION_SD_M, ROTATION_SD_DEG
 from slipstitch.images.camera import AIM_M, POSE, Camera, relative_pose
@@ -70,18 +71,21 @@ class MeasuredVideo:
     def alarm_reason(self) -> str:
         """Why the numbers are not reliable, and what lies outside the training; empty if nothing.
 
-        The images, the camera's pose, and the clamps; these two alone say which way.
+        The images, the camera's pose, the fabric and the clamps; the images do not say which way.
         """
         images, outside, seen = self.measurement.alarm_reason, self.bench.outside, self.seen_clamps
-        reasons = [images, f"{_OUTSIDE}: {'; '.join(outside)}" if outside else ""]
+        fabric = self.bench.fabric
+        pose = f"{_OUTSIDE}: {'; '.join(outside)}" if outside else ""
+        reasons = [images, pose, fabric.outside]
         known = self.clamps or (seen if seen and seen.is_exact else None)
         is_too_far = not self.clamps and bool(seen and seen.is_too_far)
         is_trained = not known or abs(known.height_m - known.protocol_m) <= ASSUMED_M
         if not is_trained and (images or is_too_far):
             reasons.append(f"the clamps hang at {known} (trained on {self.bench.trained_heights})")
-        elif images and self.bench.pose_range and not outside:
+        elif images and self.bench.pose_range and not outside and not fabric.outside:
             what = "camera and clamps are" if known else "the camera is"
-            reasons.append(f"{what} as in the training: look at light, sharpness, scene, fabric")
+            left = "light, sharpness, scene" + ("" if fabric.told else ", fabric")
+            reasons.append(f"{what} as in the training: look at {left}")
         return "; ".join(filter(None, reasons))
 
     @property
@@ -133,6 +137,7 @@ class MeasuredVideo:
             "clamp_height_factor": clamps and clamps.factor,
             "clamp_height_seen_mm": seen and 1e3 * seen.height_m,
             "clamp_height_seen_error_mm": seen and 1e3 * seen.error_m,
+            **{name: self.bench.fabric.told.get(name) for name in QUANTITIES},
             "uncertainty": None if self.without_error_bar else self.uncertainty,
             "interval_90": list(map(float, measured.interval_90)),
             "distribution": [np.asarray(part).tolist() for part in measured.distribution],
@@ -163,6 +168,7 @@ class MeasuringBench:
     floors: tuple[str, ...]  # floors of the training
     is_shipped: bool  # whether its response to the clamps' height is known
     height_error_m: float  # standard deviation of heights that the camera tells
+    fabric: ToldFabric
     clamps: ClampHeight | None = None  # as told; None: as high as the protocol says
 
     @property
@@ -309,6 +315,7 @@ def opened_bench(
         tuple(dict.fromkeys(floors)),
         is_shipped=Path(model) == SHIPPED,
         height_error_m=stated_height_error_m(camera) or _trained_height_error_m(lens),
+        fabric=ToldFabric.beside(instrument.card["materials"], {}),
     )
 
 
