@@ -52,8 +52,14 @@ def _run(arguments: options.Arguments, config):
     """What one training is given."""
     from slipstitch.learning.trainer import Run
 
-    places = arguments.dataset, arguments.split, arguments.seed, arguments.out_dir
-    return Run(*places, frames=config.sample.frames, threads=arguments.threads)
+    return Run(
+        arguments.dataset,
+        arguments.split,
+        arguments.seed,
+        arguments.out_dir,
+        frames=config.sample.frames,
+        threads=arguments.threads,
+    )
 
 
 @options.verb(
@@ -84,8 +90,14 @@ def instrument(arguments: options.Arguments) -> None:
 
         if not (arguments.calibration_datasets or arguments.readings):
             raise BadInput("--recalibrate requires --calibration-datasets, --readings or both")
-        extra = datasets, list(arguments.readings), arguments.threads
-        _print_average(recalibrate_instrument(arguments.recalibrate, arguments.out_dir, *extra))
+        card = recalibrate_instrument(
+            arguments.recalibrate,
+            arguments.out_dir,
+            datasets,
+            list(arguments.readings),
+            arguments.threads,
+        )
+        _print_average(card)
         return
     options.refuse(arguments, ("readings",), options.flag(mode))
     options.require(arguments, ("config", "dataset", "split"), options.flag(mode))
@@ -94,8 +106,15 @@ def instrument(arguments: options.Arguments) -> None:
     if mode == "members":
         from slipstitch.learning.instrument.ensemble import combine_instruments
 
-        places = list(arguments.members), arguments.dataset, arguments.split, arguments.out_dir
-        _print_average(combine_instruments(*places, datasets, threads=arguments.threads))
+        card = combine_instruments(
+            list(arguments.members),
+            arguments.dataset,
+            arguments.split,
+            arguments.out_dir,
+            datasets,
+            threads=arguments.threads,
+        )
+        _print_average(card)
         return
     options.refuse(arguments, ("calibration_datasets",), options.flag(mode))
     from slipstitch.design.trainable import instrument_views
@@ -150,8 +169,9 @@ def evaluate(arguments: options.Arguments) -> None:
     config = options.configuration(arguments)
     if not (arguments.models or arguments.instruments):
         raise BadInput("--models, --instruments or both are required")
-    folders = arguments.models, arguments.instruments
-    trained = Trained(*folders, config.train, config.instrument.seeds)
+    trained = Trained(
+        arguments.models, arguments.instruments, config.train, config.instrument.seeds
+    )
     if arguments.captures:
         _captures(arguments, trained)
         return
@@ -159,9 +179,13 @@ def evaluate(arguments: options.Arguments) -> None:
         raise BadInput("--page requires --captures")
     trained = replace(trained, shipped=shipped_for(config))
     details = arguments.details or arguments.out.with_name("details.json")
-    how = {"update": arguments.update, "threads": arguments.threads}
-    files = arguments.out, arguments.predictions, details
-    metrics = write_evaluation(arguments.dataset, trained, files, **how)
+    metrics = write_evaluation(
+        arguments.dataset,
+        trained,
+        (arguments.out, arguments.predictions, details),
+        update=arguments.update,
+        threads=arguments.threads,
+    )
     print(*test_set_lines(metrics), sep="\n")
 
 
@@ -171,9 +195,14 @@ def _captures(arguments: options.Arguments, trained) -> None:
     from slipstitch.learning.evaluation.metrics import capture_lines
 
     options.refuse(arguments, ("details", "update"), "--captures")
-    files = arguments.out, arguments.predictions, arguments.page
-    how = {"threads": arguments.threads}
-    metrics = write_captures_evaluation(arguments.dataset, trained, *files, **how)
+    metrics = write_captures_evaluation(
+        arguments.dataset,
+        trained,
+        arguments.out,
+        arguments.predictions,
+        arguments.page,
+        threads=arguments.threads,
+    )
     print(*capture_lines(metrics), sep="\n")
 
 
