@@ -20,6 +20,7 @@ from slipstitch.config import load_config, write_config
 from slipstitch.dataset.audit.published import audit_published
 from slipstitch.dataset.manifest import read_manifest
 from slipstitch.design.grid import simulations
+from slipstitch.film.measure import SHIPPED
 from slipstitch.physics.simulation.trajectory import read_trajectory
 from slipstitch.report.publishing import INDEX, OPTIONAL, SCORES, finished_files, publish
 
@@ -147,10 +148,10 @@ def test_an_unfinished_run_is_refused_and_marked_if_wanted(results, tmp_path, ca
 
 
 def evaluate(results, without=()):
-    """The records of an evaluation of all weights, or of all but some."""
+    """The records of an evaluation of all weights, or of all but some, and of the shipped ones."""
     weights = [path for path in results.rglob("*.safetensors") if path not in without]
     inputs = [path.relative_to(results.parent) for path in weights]
-    inputs.append(f"{results.name}/sample/manifest.parquet")
+    inputs += [f"{results.name}/sample/manifest.parquet", SHIPPED / "instrument.safetensors"]
     with contextlib.chdir(results.parent):
         record = provenance.provenance_record("evaluate", inputs=inputs)
     for name in ("metrics.json", "details.json"):

@@ -21,6 +21,7 @@ from slipstitch.config.simulation import SimulationSettings
 from slipstitch.dataset.audit.published import FURTHER, INDEX, WEIGHTS
 from slipstitch.dataset.manifest import MANIFEST, read_manifest
 from slipstitch.design.trainable import keeps_networks_of_all_views, trainings
+from slipstitch.film.measure import SHIPPED
 from slipstitch.physics.simulation.convergence import measured_convergence
 from slipstitch.physics.simulation.trajectory import read_trajectory
 from slipstitch.report.cost import STAGES, Measured, benchmarks, read_benchmark
@@ -233,6 +234,9 @@ def _unscored(scores: Iterable[Path], digests: Mapping[str, str]) -> list[str]:
     """Models that the scores do not include; BadInput if these are of what is not there."""
     ends = (WEIGHTS, MANIFEST)
     there = {name: one for name, one in digests.items() if name.endswith(ends)}
+    # Scored beside the run's own models.
+    shipped = [file_digest(path) for path in SHIPPED.glob(f"*{WEIGHTS}")]
+    known = {*there.values(), *shipped}
     found: set[str] = set()
     for path in scores:
         if not path.is_file():
@@ -242,7 +246,7 @@ def _unscored(scores: Iterable[Path], digests: Mapping[str, str]) -> list[str]:
         except FileNotFoundError:
             raise BadInput(f"{path}: has no record of what was evaluated; {_AGAIN}") from None
         evaluated = {name: one for name, one in inputs if name.endswith(ends)}
-        others = sorted(name for name, one in evaluated.items() if one not in there.values())
+        others = sorted(name for name, one in evaluated.items() if one not in known)
         if others:
             raise BadInput(f"{path}: scores of another {others[0]} than is there; {_AGAIN}")
         found |= {name for name, one in there.items() if one not in evaluated.values()}
