@@ -41,7 +41,7 @@ def test_the_results_are_written_from_published_files():
 
 
 def test_the_five_figures_of_the_readme_are_published():
-    networks = published("paper/metrics.json")["by_simulation"]
+    networks = published("paper/metrics.json")["by_video"]
     instrument = published("instrument/details.json")["by_simulation"]["instrument_ensemble"]
     figures = {
         "network": f"{networks['lrcn_conditional']['friction_lt_0.1']:.0%}",
