@@ -279,6 +279,16 @@ def _check_of(path: str | Path, content: dict[str, Any], instrument: Instrument)
         )
 
 
+def pooled_scales(
+    instrument: Instrument, held: pa.Table, readings: Readings
+) -> tuple[np.ndarray, list[str]]:
+    """Return the conformal scales that own videos and readings need, and their simulations."""
+    probabilities, friction = numbers(held, "probabilities", "friction")
+    own = instrument.needed_scale(instrument.distributions(probabilities), friction)
+    scales = np.concatenate([own, [row["stretch"] for row in readings]])
+    return scales, [*(f"own {one}" for one in held["simulation"].to_pylist()), *groups_of(readings)]
+
+
 def kept_readings(folder: str | Path) -> Readings:
     """Return those that calibrated an average; none where its folder has no such file."""
     path = Path(folder) / READINGS

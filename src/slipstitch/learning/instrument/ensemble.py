@@ -38,7 +38,7 @@ from slipstitch.learning.instrument.calibration import (
     answers_on,
     groups_of,
     kept_readings,
-    numbers,
+    pooled_scales,
     read_readings,
     readings_on,
     sources_of,
@@ -231,19 +231,12 @@ def _read_further(
 
 def _rescaled(combined: Instrument, held: pa.Table, readings: Readings) -> Instrument:
     """The average whose conformal scale, and card, count the readings' simulations too."""
-    groups = held["simulation"].to_pylist()
-    simulations = len({*groups}) + len({*groups_of(readings)})
+    simulations = len({*held["simulation"].to_pylist()}) + len({*groups_of(readings)})
     card = combined.card | {"calibration_simulations": simulations}
     bars = combined.error_bars
     if bars and readings:
         card["calibration_readings"] = sources_of(readings)
-        probabilities, friction = numbers(held, "probabilities", "friction")
-        own = combined.needed_scale(combined.distributions(probabilities), friction)
-        scale = grouped_quantile(
-            np.concatenate([own, [row["stretch"] for row in readings]]),
-            [*(f"own {group}" for group in groups), *groups_of(readings)],
-            COVERAGE,
-        )
+        scale = grouped_quantile(*pooled_scales(combined, held, readings), COVERAGE)
         bars = dataclasses.replace(bars, conformal_scale=scale)
     return dataclasses.replace(combined, card=card, error_bars=bars)
 
