@@ -40,7 +40,7 @@ def test_a_strip_of_twice_the_bending_length_hangs_over_by_the_angle_of_the_stan
     ],
 )
 def test_it_says_which_way_a_fabric_is_outside(told, says):
-    found = ToldFabric.beside(FABRICS, told).outside
+    found = ToldFabric(FABRICS, told).outside
     assert found.startswith(says) and bool(found) == bool(says)
 
 

@@ -39,7 +39,7 @@ def measure(arguments: options.Arguments) -> int:
     from slipstitch.film.measure import EXAMPLE_CAMERA, EXAMPLE_VIDEO, known_of_example
     from slipstitch.film.measure.measurement_files import measured_pair, write_measurements
     from slipstitch.film.measure.measuring_bench import measuring_bench
-    from slipstitch.film.measure.told_fabric import QUANTITIES, ToldFabric
+    from slipstitch.film.measure.told_fabric import QUANTITIES
 
     _check(arguments)
     videos, camera = list(arguments.videos), arguments.camera
@@ -51,8 +51,8 @@ def measure(arguments: options.Arguments) -> int:
     if arguments.clamp_height_mm is not None:
         bench = replace(bench, clamps=_clamps(arguments, bench))
     told = {name: getattr(arguments, name) for name in QUANTITIES}
-    fabric = ToldFabric.beside(bench.instrument.card["materials"], told)
-    bench = replace(bench, fabric=fabric)
+    told = {name: value for name, value in told.items() if value is not None}
+    bench = replace(bench, fabric=replace(bench.fabric, told=told))
     clock = {"start_s": arguments.start_s, "frame_rate_hz": arguments.frame_rate_hz}
     pair = measured_pair(videos, bench, **clock)
     # Before the files: should one of them fail, the result is not lost.

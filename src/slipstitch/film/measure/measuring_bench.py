@@ -315,7 +315,7 @@ def opened_bench(
         tuple(dict.fromkeys(floors)),
         is_shipped=Path(model) == SHIPPED,
         height_error_m=stated_height_error_m(camera) or _trained_height_error_m(lens),
-        fabric=ToldFabric.beside(instrument.card["materials"], {}),
+        fabric=ToldFabric(instrument.card["materials"]),
     )
 
 

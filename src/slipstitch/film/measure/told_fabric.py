@@ -1,8 +1,9 @@
 """A fabric as it was weighed and bent, beside those that an instrument was tested on."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -36,47 +37,55 @@ class Quantity:
     allowed: tuple[float, float]  # of any cloth; what lies outside is of another unit
     words: tuple[str, str]  # of a fabric below and above the tested ones
     spread: float  # of its logarithm, tested about each fabric
+    of: Callable[[Fabric], float]  # in the unit
+
+    def tested(self, fabrics: Sequence[Fabric]) -> tuple[float, float]:
+        """Return between which values an instrument of these fabrics was tested."""
+        values, factor = [self.of(one) for one in fabrics], math.exp(self.spread)
+        return min(values, default=0.0) / factor, max(values, default=math.inf) * factor
 
 
 QUANTITIES = {
     "areal_density_g_m2": Quantity(
-        "areal density", "g/m²", (10.0, 2000.0), ("too light", "too heavy"), SPREAD
+        "areal density",
+        "g/m²",
+        (10.0, 2000.0),
+        ("too light", "too heavy"),
+        SPREAD,
+        lambda fabric: 1e3 * fabric.areal_density_kg_m2,
     ),
     "bending_length_mm": Quantity(
-        "bending length", "mm", (2.0, 150.0), ("too limp", "too stiff"), math.sqrt(2) * SPREAD / 3
+        "bending length",
+        "mm",
+        (2.0, 150.0),
+        ("too limp", "too stiff"),
+        math.sqrt(2) * SPREAD / 3,
+        lambda fabric: 1e3 * bending_length_m(fabric),
     ),
 }
 
 
 @dataclass(frozen=True)
 class ToldFabric:
-    """Areal density and bending length, where they were told."""
+    """Areal density and bending length, where they were told; BadInput if of no cloth."""
 
-    told: Mapping[str, float]  # by the names of `QUANTITIES`
-    tested: Mapping[str, tuple[float, float]]  # least and largest
+    materials: Sequence[str]  # fabrics that trained; those of the catalogue count
+    told: Mapping[str, float] = field(default_factory=dict)  # by the names of `QUANTITIES`
 
-    @classmethod
-    def beside(cls, materials: Sequence[str], told: Mapping[str, float | None]) -> "ToldFabric":
-        """Compare with those of the catalogue that trained; BadInput if a number is of no cloth."""
-        given = {name: value for name, value in told.items() if value is not None}
-        for name, value in given.items():
-            low, high = QUANTITIES[name].allowed
+    def __post_init__(self):
+        for name, value in self.told.items():
+            one = QUANTITIES[name]
+            low, high = one.allowed
             if not low <= value <= high:
-                of_cloth = f"must be from {low:g} to {high:g} {QUANTITIES[name].unit}"
-                raise BadInput(f"{QUANTITIES[name].title} {value:g}: {of_cloth}")
-        fabrics = [load_fabric(name) for name in materials if name in fabric_names()]
-        known = {
-            "areal_density_g_m2": [1e3 * one.areal_density_kg_m2 for one in fabrics],
-            "bending_length_mm": [1e3 * bending_length_m(one) for one in fabrics],
-        }
-        tested = {
-            name: (
-                min(values, default=0.0) * math.exp(-QUANTITIES[name].spread),
-                max(values, default=math.inf) * math.exp(QUANTITIES[name].spread),
-            )
-            for name, values in known.items()
-        }
-        return cls(given, tested)
+                raise BadInput(
+                    f"{one.title} {value:g}: must be from {low:g} to {high:g} {one.unit}"
+                )
+
+    @cached_property
+    def tested(self) -> dict[str, tuple[float, float]]:
+        """Least and largest of each quantity that was tested."""
+        fabrics = [load_fabric(name) for name in self.materials if name in fabric_names()]
+        return {name: one.tested(fabrics) for name, one in QUANTITIES.items()}
 
     @property
     def rows(self) -> list[tuple[str, str, str]]:
@@ -93,13 +102,15 @@ class ToldFabric:
     @property
     def outside(self) -> str:
         """What is outside the tested fabrics, in words; empty if nothing is known to be."""
-        return "; ".join(
-            f"the fabric is {QUANTITIES[name].words[value > self.tested[name][1]]}: "
-            f"{QUANTITIES[name].title} {value:g} {QUANTITIES[name].unit} "
-            f"(tested on {self._range(name)})"
-            for name, value in self.told.items()
-            if not self.tested[name][0] <= value <= self.tested[name][1]
-        )
+        found = []
+        for name, value in self.told.items():
+            one, (low, high) = QUANTITIES[name], self.tested[name]
+            if not low <= value <= high:
+                found.append(
+                    f"the fabric is {one.words[value > high]}: {one.title} {value:g} {one.unit} "
+                    f"(tested on {self._range(name)})"
+                )
+        return "; ".join(found)
 
     def _range(self, name: str) -> str:
         return " ... ".join(f"{limit:.0f}" for limit in self.tested[name])
