@@ -208,7 +208,7 @@ class Trainer:
             self.history = [*progress.history, self._epoch(progress, phase, epoch)]
             following = place(self.phases, self.history, left_chance)
             # In the checkpoint, not beside: Snakemake removes the files of an unfinished job.
-            if self.keeps_before_last and following and following == (self.phases[-1], 0):
+            if self.keeps_before_last and following == (self.phases[-1], 0):
                 weights = self.network.state_dict()
                 self.kept = {name: value.clone() for name, value in weights.items()}
             progress = Progress(epoch=progress.epoch + 1, history=self.history, kept=self.kept)
