@@ -20,6 +20,7 @@ from slipstitch.base.provenance import file_digest, read_provenance
 from slipstitch.config import write_config
 from slipstitch.config.train import REFLECTIVE, TRAINED_ON
 from slipstitch.dataset.dataset import write_dataset
+from slipstitch.dataset.manifest import read_manifest, write_manifest
 from slipstitch.dataset.videos import read_videos
 from slipstitch.design.grid import friction_id
 from slipstitch.film.measure import SHIPPED
@@ -394,12 +395,44 @@ def test_instruments_alone_are_evaluated_by_camera_fabric_and_coefficient(tmp_pa
     assert file_digest(ensemble / "instrument.safetensors") in inputs.values()
 
 
+def test_scores_of_networks_whose_weights_are_on_another_machine_stay(chain, tmp_path):
+    """As when splits are trained on two machines, each of which films the simulations itself."""
+    shutil.copytree(chain / "train" / KEPT, tmp_path / "one" / "train" / KEPT)
+    for split in set(TRAINED_ON) - {KEPT}:
+        shutil.copytree(chain / "train" / split, tmp_path / "other" / "train" / split)
+    for machine in ("one", "other"):
+        shutil.copytree(chain / "sample", tmp_path / machine / "sample")
+    other = tmp_path / "other" / "sample"
+    write_manifest(read_manifest(other)[0], other, {"wall_s": 1})
+    whole, pieces = tmp_path / "whole", tmp_path / "pieces"
+    trained = Trained("train", train=CONFIG.train)
+    for machine, out in ((chain, whole), (tmp_path / "one", pieces)):
+        with contextlib.chdir(machine):
+            evaluate(Path(), trained, out)
+    first = read_provenance(pieces / "metrics.json")["inputs"]
+    with contextlib.chdir(tmp_path / "other"):
+        evaluate(Path(), trained, pieces, update=True)
+        # A seed that the configuration has no longer does not count.
+        train = CONFIG.train.model_copy(update={"seeds": [5]})
+        assert trained.elsewhere(first) and not replace(trained, train=train).elsewhere(first)
+
+    def in_order(folder):
+        return sorted(map(json.dumps, predictions(folder / "predictions.parquet")))
+
+    assert in_order(pieces) == in_order(whole)
+    for name, compared in product(("metrics.json", "details.json"), TRAINED_ON):
+        scored, expected = (content(folder / name)[compared] for folder in (pieces, whole))
+        assert scored == {key: expected[key] for key in scored} and len(scored) > 1
+    weights = {path for path in first if path.endswith(".safetensors")}
+    assert weights <= set(read_provenance(pieces / "metrics.json")["inputs"])
+
+
 def test_scores_of_another_dataset_are_not_updated(chain, evaluated, tmp_path, capsys):
     out = shutil.copytree(evaluated, tmp_path / "evaluate")
     before = {path: path.read_bytes() for path in out.iterdir()}
     other = shutil.copytree(chain / "sample", tmp_path / "other")
-    table = pq.read_table(other / "manifest.parquet")
-    pq.write_table(table, other / "manifest.parquet", compression="none")
+    rows, _ = read_manifest(other)
+    write_manifest([row | {"floor": "ceramic"} for row in rows], other, {})
     update = f"evaluate --config {chain}/c.json --instruments {chain}/instrument --update "
     update += f"--predictions {out}/predictions.parquet --out {out}/metrics.json --dataset"
     assert "scores of another dataset" in refused(capsys, f"{update} {other}")

@@ -18,7 +18,7 @@ from slipstitch.base.provenance import file_digest, write_json, write_sidecar
 from slipstitch.cli.main import main
 from slipstitch.config import load_config, write_config
 from slipstitch.dataset.audit.published import audit_published
-from slipstitch.dataset.manifest import read_manifest
+from slipstitch.dataset.manifest import read_manifest, write_manifest
 from slipstitch.design.grid import simulations
 from slipstitch.film.measure import SHIPPED
 from slipstitch.physics.simulation.trajectory import read_trajectory
@@ -314,6 +314,39 @@ def test_an_update_keeps_what_the_results_have_no_longer(run, tmp_path):
     assert audit_published(out).findings == found
 
 
+@pytest.mark.parametrize("same", [True, False])
+def test_an_update_takes_the_same_images_in_other_files(run, tmp_path, same):
+    """As when the simulations were filmed again where another network was trained."""
+    results, out = tmp_path / run.name, tmp_path / "out"
+    shutil.copytree(run, results)
+    weights, manifest = results / WEIGHTS, f"{run.name}/sample/manifest.parquet"
+    rows, digest = read_manifest(results / "sample")
+    card = {"weights_sha256": file_digest(weights), "dataset_digest": digest if same else "another"}
+    with contextlib.chdir(tmp_path):
+        record = provenance.provenance_record("train", inputs=[manifest])
+        write_json(weights.with_suffix(".json"), card, record)
+        write_sidecar(weights, record)
+        publish(CONFIG, run.name, out)
+        found = audit_published(out).findings  # weights that are text have no dataset
+        before = file_digest(manifest)
+        write_manifest(rows, results / "sample", {"stage": "sample", "wall_s": 1.0})
+        assert file_digest(manifest) != before
+        evaluate(results)
+        shutil.rmtree(weights.parent)  # on the first machine
+        assert not publish(CONFIG, run.name, out, update=True)["partial"]
+    digests = content(out, "dataset/digests.json")
+    shards = (results / "sample").glob("m0*.parquet")
+    assert digests["digest"] == digest
+    assert digests["files"] == {path.name: file_digest(path) for path in shards}
+    new = [one for one in audit_published(out).findings if one not in found]
+    assert [(one.where, one.what) for one in new] == (
+        []
+        if same
+        else [(f"models/{WEIGHTS.removeprefix('train/')}",
+               "made from another manifest.parquet than the published")]
+    )  # fmt: skip
+
+
 def test_a_dataset_that_also_calibrates_is_published_beside_the_run_s_own(run, tmp_path):
     other = f"bench/{run.name}/sample"  # beside the run's results
     instrument = CONFIG.instrument.model_copy(update={"calibration_datasets": [other]})
@@ -354,8 +387,8 @@ def test_an_update_of_another_run_is_refused(run, results, tmp_path):
     other = CONFIG.model_copy(update={"seed": CONFIG.seed + 1})
     with pytest.raises(BadInput, match="published with another configuration"):
         publish(other, run, out, update=True)
-    table = pq.read_table(results / "sample/manifest.parquet")
-    provenance.write_parquet(table, results / "sample/manifest.parquet", {"made": "again"})
+    rows, _ = read_manifest(results / "sample")
+    write_manifest([row | {"floor": "ceramic"} for row in rows], results / "sample", {})
     with pytest.raises(BadInput, match="published of another dataset"):
         publish(CONFIG, results, out, update=True)
     assert _contents(out) == before

@@ -156,7 +156,9 @@ def _kept(config: Config, results: Results, out: Path) -> dict[str, str]:
         raise BadInput(f"{out}: published with another configuration; publish without --update")
     manifest = results.folder / "sample" / MANIFEST
     before = out / "dataset" / MANIFEST
-    if manifest.is_file() and before.is_file() and file_digest(manifest) != file_digest(before):
+    # Filmed again elsewhere, the images are the same in other files.
+    digests = {read_manifest(one.parent)[1] for one in (manifest, before) if one.is_file()}
+    if len(digests) > 1:
         raise BadInput(f"{out}: published of another dataset; publish without --update")
     kept = {}
     for to in (*finished_files(config).values(), *OPTIONAL, *_OWN, *_files(out, FURTHER)):
@@ -188,8 +190,11 @@ def _keep(config: Config, before: Path, folder: Path, there: Iterable[str]) -> N
         if to not in there and not (folder / to).exists():
             _copy(before / to, folder / to, is_published(config, to))
     same = load_config(before / "config.json") == config
+    manifests = [one / "dataset" / MANIFEST for one in (before, folder)]
+    again = all(map(Path.is_file, manifests)) and len({*map(file_digest, manifests)}) > 1
     for name in (*_OF_ALL, *(["config.json"] if same else [])):
-        if (before / name).is_file():
+        # Filmed again, the images are in other files; those of the new manifest are described.
+        if (before / name).is_file() and not (again and name.startswith("dataset/")):
             shutil.copyfile(before / name, folder / name)
     # Records of what is there again, but not published anew, are not those of the published files.
     origin = {name: one for name, one in read_json(folder / "origin.json").items() if name in anew}

@@ -1,6 +1,6 @@
 """Evaluation of trained models: a table of predictions, and the scores that follow from it."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ from slipstitch.base.provenance import (
     file_digest,
     provenance_record,
     read_json,
+    read_metadata,
     read_provenance,
     start_clock,
     write_json,
@@ -35,7 +36,7 @@ from slipstitch.learning.evaluation.scores import (
     read_table,
 )
 from slipstitch.learning.evaluation.test_sets import evaluation_sets, probes, wrong_inputs
-from slipstitch.learning.evaluation.trained import Key, Trained
+from slipstitch.learning.evaluation.trained import Key, Trained, place_of
 from slipstitch.learning.instrument.measuring import Instrument, load_instrument
 from slipstitch.learning.lrcn import LrcnModel
 from slipstitch.learning.prediction import Prediction, classes_of
@@ -54,15 +55,18 @@ class Table:
     # ``{test set: {network: {seed: {kind of wrong input: share of alarms}}}}``
     alarms: dict[str, dict[str, Any]] = field(default_factory=dict)
 
-    def add(self, other: "Table", without: Iterable[str]) -> None:
-        """Add another table but for some networks."""
-        without = set(without)
-        self.rows += [row for row in other.rows if row["network"] not in without]
-        for mine, others in ((self.models, other.models), (self.alarms, other.alarms)):
+    def add(self, other: "Table", also: Callable[[Row], bool]) -> None:
+        """Add of another table the rows asked for, and what it notes of their networks."""
+        rows = [row for row in other.rows if also(row)]
+        self.rows += rows
+        noted = {(row["trained_on"], row["network"]) for row in rows}
+        alarmed = {(row["split"], row["network"]) for row in rows}
+        pairs = (self.models, other.models, noted), (self.alarms, other.alarms, alarmed)
+        for mine, others, named in pairs:
             for name, networks in others.items():
-                for network, noted in networks.items():
-                    if network not in without:
-                        mine.setdefault(name, {}).setdefault(network, noted)
+                for network, one in networks.items():
+                    if (name, network) in named:
+                        mine.setdefault(name, {}).setdefault(network, one)
 
 
 def prediction_row(
@@ -174,18 +178,21 @@ def write_evaluation(
 ) -> dict[str, Any]:
     """Write scores, predictions and details, as `out` names these files; return the scores.
 
-    With `update`, what these files say of models that are unchanged stays, as of the dataset's
-    probes, and only kinds of models of which one is new or changed predict; of averages that differ
-    in their conformal scale alone no image is needed. BadInput if a model is missing its partner or
-    was trained on other data, files are damaged or, with `update`, of another dataset, or what must
-    tell nothing of friction tells it (`test_sets.probe_split`).
+    With `update`, what these files say of models that are unchanged stays, as of networks whose
+    weights are on another machine and of the dataset's probes, and only kinds of models of which
+    one is new or changed predict; of averages that differ in their conformal scale alone no image
+    is needed. BadInput if a model is missing its partner or was trained on other data, files are
+    damaged or, with `update`, of another dataset, or what must tell nothing of friction tells it
+    (`test_sets.probe_split`).
     """
     started = start_clock()
     set_up_torch(threads)
     manifest = Path(dataset) / MANIFEST
+    rows, digest = read_manifest(dataset)
     files = trained.files()
     metrics_file, predictions_file, details_file = out
-    before = _scored_before(manifest, metrics_file) if update else {}
+    before = _scored_before(dataset, digest, metrics_file, predictions_file) if update else {}
+    elsewhere = trained.elsewhere(before)
     kept = {
         kind
         for kind, paths in files.items()
@@ -195,12 +202,14 @@ def write_evaluation(
     if rescaled:
         kept.add(AVERAGE)
     table = predicted_table(dataset, trained.load(frozenset(kept)))
-    rows, _ = read_manifest(dataset)
     if kept:
         again = {row["network"] for row in table.rows}
-        table.add(_written(predictions_file, details_file, rescaled), again)
+        table.add(
+            _written(predictions_file, details_file, rescaled),
+            lambda row: row["network"] not in again or place_of(row) in elsewhere,
+        )
     else:
-        table.add(probe_table(dataset), ())
+        table.add(probe_table(dataset), lambda _: True)
     order = [test.name for test in evaluation_sets(rows)]
     scored = {row["split"] for row in table.rows if not row["network"].startswith(PROBE)}
     found = sorted(
@@ -218,23 +227,28 @@ def write_evaluation(
         inputs=[manifest, *(path for paths in files.values() for path in paths)],
         started=started,
     )
+    for entries in elsewhere.values():
+        record["inputs"] |= entries
     write_json(metrics_file, metrics, record)
     write_json(details_file, details, record)
     predictions = pa.Table.from_pylist(found, schema=SCHEMA)
-    write_parquet(predictions, predictions_file, {"models": table.models}, record)
+    notes = {"models": table.models, "dataset_digest": digest}
+    write_parquet(predictions, predictions_file, notes, record)
     return metrics
 
 
-def _scored_before(manifest: Path, out: str | Path) -> dict[str, str]:
-    """Path -> SHA-256 of what the metrics in `out` are of."""
+def _scored_before(
+    dataset: str | Path, digest: str, metrics: Path, predictions: Path
+) -> dict[str, str]:
+    """Path -> SHA-256 of what the scores there are of."""
     try:
-        record = read_provenance(out)
+        record = read_provenance(metrics)
+        scored = read_metadata(predictions).get("dataset_digest")
     except FileNotFoundError:
-        raise BadInput(f"{out}: no scores to update: run without --update") from None
-    inputs = record.get("inputs", {})
-    if file_digest(manifest) not in inputs.values():
-        raise BadInput(f"{out}: scores of another dataset than {manifest.parent}")
-    return inputs
+        raise BadInput(f"{metrics}: no scores to update: run without --update") from None
+    if scored != digest:
+        raise BadInput(f"{metrics}: scores of another dataset than {dataset}")
+    return record.get("inputs", {})
 
 
 def _rescaled_since(averages: Sequence[Path], before: Mapping[str, str]) -> list[Instrument]:

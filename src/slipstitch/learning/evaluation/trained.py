@@ -1,9 +1,10 @@
 """The trained models that an evaluation is of: finding, checking and loading them."""
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from slipstitch.base.errors import BadInput
 from slipstitch.config.train import NETWORKS, TRAINED_ON, TrainSettings
@@ -76,6 +77,24 @@ class Trained:
                 found[AVERAGE] += sorted(folder.glob(f"{ENSEMBLE}/{INSTRUMENT_WEIGHTS}"))
         return found
 
+    def elsewhere(self, scored: Mapping[str, str]) -> dict[Key, dict[str, str]]:
+        """Return the networks that were scored, that count, and whose weights are not here.
+
+        As when the others were trained on another machine: by split, network and seed, path ->
+        SHA-256 as in `scored`.
+        """
+        found: dict[Key, dict[str, str]] = {}
+        for path, digest in scored.items():
+            folder = Path(path).parent
+            place = folder.parent if folder.name == ALL_VIEWS else folder
+            split, network, seed = ("", "", "", *place.parts)[-3:]
+            here = Path(self.networks or "", split, network, seed, WEIGHTS).is_file()
+            if split in self.splits and network in NETWORKS and not here:
+                key = split, network, int(seed.removeprefix("seed"))
+                if self.train is None or key[1:] in trainings(self.train, split):
+                    found.setdefault(key, {})[path] = digest
+        return found
+
     def load(self, without: frozenset[str] = frozenset()) -> dict[Key, LrcnModel | Instrument]:
         """Return the models but those of some kinds; BadInput if one is not what its place says."""
         files = self.files()
@@ -93,6 +112,11 @@ class Trained:
             instrument = load_instrument(self.shipped)
             models |= {(split, SHIPPED, None): instrument for split in self.splits}
         return models
+
+
+def place_of(row: Mapping[str, Any]) -> Key:
+    """Return split, network and seed that a prediction is of, fine-tuned or not."""
+    return row["trained_on"], row["network"].removesuffix(CALIBRATED), row["seed"]
 
 
 def _networks(paths: list[Path]) -> dict[Key, LrcnModel]:
