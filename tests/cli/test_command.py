@@ -213,7 +213,7 @@ CONTRADICTIONS = [
     (f"{BOARD} --place-mm 0 0", "--place-mm requires --stage-view"),
     (f"{BOARD} --dictionary DICT_4X4_50", "--dictionary cannot be combined with --board check"),
     (f"{MEASURE} b.mp4 --start-s 0", "--start-s cannot be combined with several videos"),
-    ("measure", "no video: give one, or --example"),
+    ("measure", "no video: give one, --captures or --example"),
     ("measure film.mp4", "--camera FILE is required"),
     ("measure --example film.mp4", "--example has its own video and camera: give neither with it"),
     (f"{MEASURE} --frame-rate-hz 0", "--frame-rate-hz 0: must be greater than 0"),

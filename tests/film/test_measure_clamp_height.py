@@ -1,6 +1,7 @@
 """The height of the clamps as a film shows it, and readings corrected for it."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,7 +13,7 @@ from support.refusal import refused, run
 
 from slipstitch.base.errors import BadInput
 from slipstitch.film.edge_height import EdgeFinder, EdgeHeight
-from slipstitch.film.measure import EXAMPLE_CAMERA, EXAMPLE_VIDEO, clamp_height
+from slipstitch.film.measure import EXAMPLE_CAMERA, EXAMPLE_VIDEO, SHIPPED, clamp_height
 from slipstitch.film.measure.clamp_height import ClampHeight, SeenClamps
 from slipstitch.film.measure.measuring_bench import MeasuredVideo, measuring_bench
 from slipstitch.images.calibrated_view import BenchCamera
@@ -81,9 +82,10 @@ def test_another_unit_and_no_error_are_refused(height_mm, error_mm, says):
 
 def test_the_command_refuses_what_it_cannot_use(tmp_path, capsys):
     said = refused(capsys, "measure --example --clamp-height-error-mm 0.2")
-    assert "give --clamp-height-mm with it" in said
-    said = refused(capsys, f"measure --example --clamp-height-mm 151 --model {tmp_path}")
-    assert "cannot be combined with --model" in said
+    assert "error of the clamp height: give the clamp height with it" in said
+    other = shutil.copytree(SHIPPED, tmp_path / "other")
+    said = refused(capsys, f"measure --example --clamp-height-mm 151 --model {other}")
+    assert "its effect was measured for the instrument that comes with Slipstitch" in said
 
 
 def test_the_result_says_what_was_told_and_what_it_does(tmp_path, capsys):

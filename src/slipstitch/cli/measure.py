@@ -10,10 +10,14 @@ from slipstitch.cli import options
 # A program must not mistake a result with an alarm for a measurement.
 ALARM_EXIT_CODE = 3
 BAD_INPUT_EXIT_CODE = 2
+# What the rows of a captures table say themselves.
+_OF_VIDEOS = ("example", "camera", "start_s", "frame_rate_hz", "clamp_height_mm",
+              "clamp_height_error_mm", "areal_density_g_m2", "bending_length_mm")  # fmt: skip
 
 
 @options.verb("slipstitch measure bench/glass_1.mp4 --camera bench/camera.json --out glass_1.html")
 @argument("videos", nargs=-1, type=options.FILE, metavar="[VIDEO...]", help="repeats of one pair")
+@option("--captures", type=options.FILE, help="table of videos, pairs and what is told of each")
 @options.switch("--example", "measure the video that comes with Slipstitch, a simulated one")
 @option("--camera", type=options.FILE, help="file that slipstitch capture camera wrote")
 @options.trained_instrument
@@ -33,59 +37,81 @@ def measure(arguments: options.Arguments) -> int:
 
     Exit code 3 if a video raised the alarm, 2 if one of several could not be measured.
     """
-    from dataclasses import replace
-
     from slipstitch.base.provenance import start_clock
-    from slipstitch.film.measure import EXAMPLE_CAMERA, EXAMPLE_VIDEO, known_of_example
-    from slipstitch.film.measure.measurement_files import measured_pair, write_measurements
-    from slipstitch.film.measure.measuring_bench import measuring_bench
-    from slipstitch.film.measure.told_fabric import QUANTITIES
+    from slipstitch.film.measure import known_of_example
+    from slipstitch.film.measure.measurement_files import write_measurements
 
     _check(arguments)
-    videos, camera = list(arguments.videos), arguments.camera
-    if arguments.example:
-        videos, camera = [EXAMPLE_VIDEO], EXAMPLE_CAMERA
     started = start_clock()
-    how = {"threads": arguments.threads, "force": arguments.force}
-    bench = measuring_bench(camera, arguments.model, arguments.config, **how)
-    if arguments.clamp_height_mm is not None:
-        bench = replace(bench, clamps=_clamps(arguments, bench))
-    told = {name: getattr(arguments, name) for name in QUANTITIES}
-    told = {name: value for name, value in told.items() if value is not None}
-    bench = replace(bench, fabric=replace(bench.fabric, told=told))
-    clock = {"start_s": arguments.start_s, "frame_rate_hz": arguments.frame_rate_hz}
-    pair = measured_pair(videos, bench, **clock)
+    result, read = (_captures if arguments.captures else _videos)(arguments)
     # Before the files: should one of them fail, the result is not lost.
-    for line in pair.videos[0].lines() if len(videos) == 1 else pair.lines():
+    for line in result.lines():
         print(line)
     if arguments.example:
         print(known_of_example())
     files = {"page_path": arguments.out, "numbers_path": arguments.json}
-    read = [*videos, camera, bench.config_path]
-    write_measurements(pair, read, started, **files, table_path=arguments.csv)
-    if pair.refused:
+    write_measurements(result, read, started, **files, table_path=arguments.csv)
+    if result.refused:
         return BAD_INPUT_EXIT_CODE
-    return ALARM_EXIT_CODE if any(video.alarm_reason for video in pair.videos) else 0
+    return ALARM_EXIT_CODE if any(video.alarm_reason for video in result.videos) else 0
 
 
-def _clamps(arguments: options.Arguments, bench):
-    """The height of the clamps as told."""
-    from slipstitch.film.measure.clamp_height import GAUGE_BLOCK_M, ClampHeight
+def _bench(arguments: options.Arguments, camera):
+    """The bench behind a camera."""
+    from slipstitch.film.measure.measuring_bench import measuring_bench
 
-    error_mm = arguments.clamp_height_error_mm
-    return ClampHeight(
-        1e-3 * arguments.clamp_height_mm,
-        GAUGE_BLOCK_M if error_mm is None else 1e-3 * error_mm,
+    how = {"threads": arguments.threads, "force": arguments.force}
+    return measuring_bench(camera, arguments.model, arguments.config, **how)
+
+
+def _videos(arguments: options.Arguments):
+    """Measure videos of one pair, and return what was read."""
+    from dataclasses import replace
+
+    from slipstitch.film.measure import EXAMPLE_CAMERA, EXAMPLE_VIDEO
+    from slipstitch.film.measure.clamp_height import told_height
+    from slipstitch.film.measure.measurement_files import Film, measured_repeats
+    from slipstitch.film.measure.told_fabric import QUANTITIES
+
+    videos, camera = list(arguments.videos), arguments.camera
+    if arguments.example:
+        videos, camera = [EXAMPLE_VIDEO], EXAMPLE_CAMERA
+    bench = _bench(arguments, camera)
+    clamps = told_height(
+        arguments.clamp_height_mm,
+        arguments.clamp_height_error_mm,
         bench.schedule.path.lowered_height_m,
+        bench.is_shipped,
     )
+    told = {name: getattr(arguments, name) for name in QUANTITIES}
+    told = {name: value for name, value in told.items() if value is not None}
+    bench = replace(bench, clamps=clamps, fabric=replace(bench.fabric, told=told))
+    clock = {"start_s": arguments.start_s, "frame_rate_hz": arguments.frame_rate_hz}
+    pair = measured_repeats([Film(video, bench, **clock) for video in videos])
+    return pair, [*videos, camera, bench.config_path]
+
+
+def _captures(arguments: options.Arguments):
+    """Measure the videos of a captures table, and return what was read."""
+    from functools import partial
+
+    from slipstitch.base.progress import progress
+    from slipstitch.film.measure.captures import measured_captures
+
+    bar = partial(progress, unit="pair")
+    return measured_captures(arguments.captures, partial(_bench, arguments), bar)
 
 
 def _check(arguments: options.Arguments) -> None:
-    if arguments.example:
+    if arguments.captures:
+        if arguments.videos:
+            raise BadInput("--captures has its own videos: give none with it")
+        options.refuse(arguments, _OF_VIDEOS, "--captures")
+    elif arguments.example:
         if arguments.videos or arguments.camera:
             raise BadInput("--example has its own video and camera: give neither with it")
     elif not arguments.videos:
-        raise BadInput("no video: give one, or --example")
+        raise BadInput("no video: give one, --captures or --example")
     elif not arguments.camera:
         raise BadInput("--camera FILE is required: `slipstitch capture camera` writes one")
     for name, lowest in (("start_s", 0.0), ("frame_rate_hz", 1e-6)):
@@ -93,12 +119,5 @@ def _check(arguments: options.Arguments) -> None:
         if value is not None and not (math.isfinite(value) and value >= lowest):
             least = "at least 0" if lowest == 0 else "greater than 0"
             raise BadInput(f"{options.flag(name)} {value:g}: must be {least}")
-    if arguments.clamp_height_mm is None and arguments.clamp_height_error_mm is not None:
-        raise BadInput("--clamp-height-error-mm: give --clamp-height-mm with it")
-    if arguments.clamp_height_mm is not None and arguments.model:
-        raise BadInput(
-            "--clamp-height-mm cannot be combined with --model: its effect was measured for the "
-            "instrument that comes with Slipstitch"
-        )
     if arguments.start_s is not None and len(arguments.videos) > 1:
         raise BadInput("--start-s cannot be combined with several videos")

@@ -20,6 +20,9 @@ from slipstitch.film.csv_table import (
 )
 
 LARGEST_FRICTION = 10.0
+REFERENCE = ("mu_ref", "mu_ref_error")
+#: What `slipstitch measure` can be told of a capture.
+TOLD = ("clamp_height_mm", "clamp_height_error_mm", "areal_density_g_m2", "bending_length_mm")
 
 
 @dataclass(frozen=True)
@@ -32,15 +35,21 @@ class Capture:
     material: str
     substrate: str
     repeat: int
-    # friction measured by other means, and half the width of its interval
-    mu_ref: float
-    mu_ref_error: float
+    # friction measured by other means, and half the width of its interval; None: not measured
+    mu_ref: float | None
+    mu_ref_error: float | None
     reflective: bool  # whether the substrate is reflective
     # time in the video at which the stage starts; found in the frames if None
     start_s: float | None = None
     # of the camera, where the file's own times are wrong; None: those are taken
     frame_rate_hz: float | None = None
     surrogate: bool = False  # true for simulated videos, which are never called real
+    # what a reading can be told; None: not measured
+    clamp_height_mm: float | None = None
+    clamp_height_error_mm: float | None = None  # standard deviation
+    areal_density_g_m2: float | None = None
+    bending_length_mm: float | None = None
+    line: int = 0  # of the table
 
     @property
     def pair(self) -> str:
@@ -64,16 +73,19 @@ def read_references(path: str | Path) -> dict[tuple[str, str], tuple[float, floa
     return found
 
 
-def read_captures(path: str | Path, reference: str | Path | None = None) -> list[Capture]:
+def read_captures(
+    path: str | Path, reference: str | Path | None = None, referenced: bool = True
+) -> list[Capture]:
     """The captures of a table, in its order.
 
     Paths in it are relative to its folder and stay below it. Empty cells of mu_ref and its
-    error are filled from `reference`, which `slipstitch capture reference` wrote. BadInput if a
-    cell is wrong, a file is missing, a repeat or a video is duplicated, or the rows of a pair
-    contradict one another.
+    error are filled from `reference`, which `slipstitch capture reference` wrote; they stay empty
+    if the captures need not be `referenced`. BadInput if a cell is wrong, a file is missing, a
+    repeat or a video is duplicated, or the rows of a pair contradict one another.
     """
     below = file_below(Path(path).parent)
     friction = number(0, LARGEST_FRICTION)
+    may_be_empty = reference is not None or not referenced
     rows = read_table(
         path,
         [
@@ -81,13 +93,13 @@ def read_captures(path: str | Path, reference: str | Path | None = None) -> list
             TableColumn("material", name),
             TableColumn("substrate", name),
             TableColumn("repeat", whole_number(99)),
-            TableColumn("mu_ref", friction, may_be_empty=reference is not None),
-            TableColumn("mu_ref_error", friction, may_be_empty=reference is not None),
+            *(TableColumn(title, friction, referenced, may_be_empty) for title in REFERENCE),
             TableColumn("reflective", yes_or_no),
             TableColumn("camera", below),
             TableColumn("start_s", number(0, 86400), needed=False, may_be_empty=True),
             TableColumn("frame_rate_hz", number(0, 1000, open_ends=True), False, True),
             TableColumn("surrogate", yes_or_no, needed=False),
+            *(TableColumn(title, number(0, open_ends=True), False, True) for title in TOLD),
         ],
     )
     known = read_references(reference) if reference else {}
@@ -95,10 +107,10 @@ def read_captures(path: str | Path, reference: str | Path | None = None) -> list
     captures: list[Capture] = []
     for row in rows:
         key = (row["material"], row["substrate"])
-        _fill(row, known, path, reference)
+        if referenced or row["mu_ref"] is not None or row["mu_ref_error"] is not None:
+            _fill(row, known, path, reference)
         pair = pairs.setdefault(key, f"c{len(pairs):02d}")
-        fields = {title: row[title] for title in row if title != "line"}
-        fields["surrogate"] = bool(fields["surrogate"])
+        fields = row | {"surrogate": bool(row["surrogate"])}
         captures.append(Capture(id=f"{pair}_r{row['repeat']:02d}", **fields))
     _check_rows(path, rows, captures)
     if len({capture.surrogate for capture in captures}) > 1:

@@ -94,6 +94,26 @@ class ClampHeight:
         )
 
 
+def told_height(
+    height_mm: float | None, error_mm: float | None, protocol_m: float, is_shipped: bool
+) -> ClampHeight | None:
+    """Return the height as told, None if it was not; BadInput if it cannot be used.
+
+    Without an error, that of a gauge block. Its effect is known of the shipped instrument alone.
+    """
+    if height_mm is None:
+        if error_mm is not None:
+            raise BadInput("error of the clamp height: give the clamp height with it")
+        return None
+    if not is_shipped:
+        raise BadInput(
+            "clamp height: its effect was measured for the instrument that comes with Slipstitch, "
+            "not for another"
+        )
+    error_m = GAUGE_BLOCK_M if error_mm is None else 1e-3 * error_mm
+    return ClampHeight(1e-3 * height_mm, error_m, protocol_m)
+
+
 @dataclass(frozen=True)
 class SeenClamps:
     """Height of the lowered clamps as a film shows it, with standard deviations."""

@@ -2,16 +2,15 @@
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import file_digest, provenance_record, write_json, write_text
 from slipstitch.film.csv_table import FORMULA
-from slipstitch.film.measure import truth_of
 from slipstitch.film.measure.measuring_bench import MeasuredVideo, MeasuringBench
 from slipstitch.film.measure.pages import measurement_page, repeats_page
 from slipstitch.film.measure.repeats import Repeats, combined
@@ -37,9 +36,14 @@ class MeasuredPair:
         return [index for index, video in enumerate(self.videos) if not video.alarm_reason]
 
     @property
+    def instrument(self) -> str:
+        """What identifies the instrument."""
+        return self.videos[0].instrument
+
+    @property
     def without_error_bar(self) -> str:
         """Why the instrument states no interval; empty where it does."""
-        return self.videos[0].without_error_bar
+        return self.videos[0].without_error_bar if self.videos else ""
 
     @cached_property
     def together(self) -> Repeats | None:
@@ -63,31 +67,52 @@ class MeasuredPair:
         """Names of some videos."""
         return [self.videos[index].name for index in which]
 
+    @property
+    def count(self) -> int:
+        """Of videos, measured or not."""
+        return len(self.videos) + len(self.refused)
+
     def lines(self) -> list[str]:
         """The result for a terminal."""
+        if self.count == 1 and self.videos:
+            return self.videos[0].lines()
         lines = []
         for video in self.videos:
             first, *others = video.lines()
             lines += [f"{video.name}: {first}", *(f"  {other}" for other in others)]
-        lines += [f"not measured: {problem}" for problem in self.refused.values()]
-        lines += [
-            f"outlier: {name} disagrees with the others" for name in self.names(self.outliers)
+        return [*lines, *self.remarks(), self.summary()]
+
+    def remarks(self) -> list[str]:
+        """Which videos were not measured, and which disagree with the others."""
+        return [
+            *(f"not measured: {problem}" for problem in self.refused.values()),
+            *(f"outlier: {name} disagrees with the others" for name in self.names(self.outliers)),
         ]
+
+    def summary(self) -> str:
+        """The combined result in a line."""
         together = self.together
         if together is None:
-            return [*lines, "ALARM in every video: no combined value"]
+            return "ALARM in every video: no combined value" if self.videos else "not measured"
         low, high = together.interval_90
         error_bar = self.without_error_bar or f"90 % interval {low:.3f} ... {high:.3f}"
         if len(self.used) > 1:
             error_bar += f"; standard deviation between the videos {together.scatter:.3f}"
-        lines.append(
-            f"combined ({len(self.used)} of {len(self.videos) + len(self.refused)} videos): "
+        return (
+            f"combined ({len(self.used)} of {self.count} videos): "
             f"friction {together.friction_coefficient:.3f}, {error_bar}"
         )
-        return lines
+
+    def page(self) -> str:
+        """The result as an HTML page."""
+        return repeats_page(self) if self.count > 1 else measurement_page(self.videos[0])
 
     def numbers(self) -> dict[str, Any]:
         """The result for a program."""
+        return self.numbers_of_repeats() if self.count > 1 else self.videos[0].numbers()
+
+    def numbers_of_repeats(self) -> dict[str, Any]:
+        """Numbers of all videos, also of a single one, and of what they say together."""
         together = self.together
         return {
             "videos": [video.numbers() for video in self.videos],
@@ -105,12 +130,13 @@ class MeasuredPair:
 
     def table(self) -> str:
         """CSV: one row per video, measured or not, then the combined value."""
-        text = io.StringIO()
-        rows = csv.DictWriter(text, COLUMNS, lineterminator="\n")
-        rows.writeheader()
+        return csv_text(COLUMNS, self.rows())
+
+    def rows(self) -> Iterator[dict[str, Any]]:
+        """Rows of the table, by its `COLUMNS`."""
         for index, video in enumerate(self.videos):
             fabric, probability = video.fabric
-            row = {
+            yield {
                 **self._value(video.measurement),
                 "video": _cell(video.name),
                 "fabric": fabric,
@@ -119,14 +145,12 @@ class MeasuredPair:
                 "outlier": int(index in self.outliers),
                 "notes": "; ".join(filter(None, [video.without_error_bar, *video.notes])),
             }
-            rows.writerow(row)
         for name, problem in self.refused.items():
-            rows.writerow({"video": _cell(name), "notes": f"not measured: {problem}"})
+            yield {"video": _cell(name), "notes": f"not measured: {problem}"}
         if together := self.together:
             scatter = f"{together.scatter:.4f}" if len(self.used) > 1 else ""
             last = {"video": COMBINED, "scatter": scatter, "notes": self.without_error_bar}
-            rows.writerow({**self._value(together), **last})
-        return text.getvalue()
+            yield {**self._value(together), **last}
 
     def _value(self, result: Prediction | Repeats) -> dict[str, str]:
         """Cells of a coefficient and its interval; without it where there is no error bar."""
@@ -142,35 +166,67 @@ def _cell(name: str) -> str:
     return f"./{name}" if name == COMBINED or name.startswith((*FORMULA, "-")) else name
 
 
-def measured_pair(
-    videos: Sequence[Path],
-    bench: MeasuringBench,
-    *,
-    start_s: float | None = None,
-    frame_rate_hz: float | None = None,
-) -> MeasuredPair:
-    """Measure videos of one pair; BadInput if one is given twice, or none could be measured."""
-    names = names_of(videos)
-    _refuse_copies(videos)
+def csv_text(columns: Sequence[str], rows: Iterable[Mapping[str, Any]]) -> str:
+    """Return a table as CSV."""
+    text = io.StringIO()
+    writer = csv.DictWriter(text, columns, lineterminator="\n")
+    writer.writeheader()
+    writer.writerows(rows)
+    return text.getvalue()
+
+
+@dataclass(frozen=True)
+class Film:
+    """A video, the bench that it was filmed on, and its clock where that is known better."""
+
+    path: Path
+    bench: MeasuringBench
+    start_s: float | None = None
+    frame_rate_hz: float | None = None
+
+    def measured(self) -> MeasuredVideo:
+        """Measure it; BadInput if it cannot be used."""
+        clock = {"start_s": self.start_s, "frame_rate_hz": self.frame_rate_hz}
+        return self.bench.measure(self.path, **clock)
+
+
+def measured_pair(films: Sequence[Film], names: Sequence[str]) -> MeasuredPair:
+    """Measure videos of one pair as far as they can be, by their names."""
     measured: list[MeasuredVideo] = []
     refused: dict[str, str] = {}
-    for name, video in zip(names, videos, strict=True):
+    for name, film in zip(names, films, strict=True):
         try:
-            result = bench.measure(video, start_s=start_s, frame_rate_hz=frame_rate_hz)
+            measured.append(replace(film.measured(), name=name))
         except BadInput as problem:
-            if len(videos) == 1:
-                raise
             refused[name] = str(problem)
-        else:
-            measured.append(replace(result, name=name))
-    if not measured:
-        first = next(iter(refused.values()))
-        raise BadInput(f"none of {len(videos)} videos can be measured; the first: {first}")
     return MeasuredPair(measured, refused)
 
 
+def measured_repeats(films: Sequence[Film]) -> MeasuredPair:
+    """Measure videos of one pair; BadInput if one is given twice, or none could be measured."""
+    paths = [film.path for film in films]
+    names = names_of(paths)
+    _refuse_copies(paths)
+    pair = measured_pair(films, names)
+    if not pair.videos:
+        first = pair.refused[names[0]]
+        none = f"none of {len(films)} videos can be measured; the first: " * (len(films) > 1)
+        raise BadInput(f"{none}{first}")
+    return pair
+
+
+class Result(Protocol):
+    """What can be written: a measurement of a pair, or of several."""
+
+    @property
+    def instrument(self) -> str: ...
+    def page(self) -> str: ...
+    def numbers(self) -> dict[str, Any]: ...
+    def table(self) -> str: ...
+
+
 def write_measurements(
-    pair: MeasuredPair,
+    result: Result,
     read: Sequence[Path],
     started: tuple[float, float],
     *,
@@ -180,23 +236,19 @@ def write_measurements(
 ) -> None:
     """Write what is asked for (HTML, JSON, CSV), with its provenance beside it.
 
-    Of a single video, its own page and numbers. `read` are the videos, the camera file and the
-    instrument's configuration, for the record.
+    `read` are the videos, the camera files and the instrument's configuration, for the record.
     """
     if not (page_path or numbers_path or table_path):
         return
     inputs = [path for path in read if Path(path).is_file()]
     record = provenance_record("measure", inputs=inputs, started=started)
-    first = pair.videos[0]
-    record["instrument"] = first.instrument
-    single = len(pair.videos) + len(pair.refused) == 1
+    record["instrument"] = result.instrument
     if page_path:
-        content = measurement_page(first, truth_of(read[0])) if single else repeats_page(pair)
-        write_text(page_path, content, record)
+        write_text(page_path, result.page(), record)
     if numbers_path:
-        write_json(numbers_path, first.numbers() if single else pair.numbers(), record)
+        write_json(numbers_path, result.numbers(), record)
     if table_path:
-        write_text(table_path, pair.table(), record)
+        write_text(table_path, result.table(), record)
 
 
 def _refuse_copies(videos: Sequence[Path]) -> None:

@@ -46,6 +46,7 @@ class MeasuredVideo:
     # (frames, points, 2): where the instrument sees the cloth's keypoints in the frames, if it
     # learnt to
     keypoints_px: np.ndarray | None = None
+    path: Path = Path()
 
     @property
     def instrument(self) -> str:
@@ -233,6 +234,7 @@ class MeasuringBench:
             clamps,
             seen,
             self._keypoints_px(video, measured),
+            Path(path),
         )
 
     def _keypoints_px(self, video: StageVideo, measured: Prediction) -> np.ndarray | None:

@@ -1,4 +1,4 @@
-"""Pages of a measurement: one video's frames, weights, distribution; or repeats of a pair."""
+"""Pages of a measurement: of one video, with its frames; of repeats of a pair; of all pairs."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,15 +11,17 @@ from slipstitch.base.page.figures import data_uri, new_figure, plain_text, style
 from slipstitch.base.page.palette import BLUE, FRAME, INK, INTERVAL, SOFT, VERMILION
 from slipstitch.base.page.templates import render
 from slipstitch.base.page.wording import percent, span
+from slipstitch.film.measure import truth_of
 from slipstitch.film.measure.measuring_bench import MeasuredVideo
 from slipstitch.images.encoding import encode_png
 from slipstitch.learning.instrument.poses import TITLES, shown
 
 if TYPE_CHECKING:
+    from slipstitch.film.measure.captures import MeasuredCaptures
     from slipstitch.film.measure.measurement_files import MeasuredPair
 
-_OF_ONE, _OF_REPEATS = (
-    Path(__file__).with_name(f"{name}.html.j2") for name in ("measurement", "repeats")
+_OF_ONE, _OF_REPEATS, _OF_CAPTURES = (
+    Path(__file__).with_name(f"{name}.html.j2") for name in ("measurement", "repeats", "captures")
 )
 _SIDE = 112  # pixels of a frame on the page
 _DECISIVE = 5
@@ -46,8 +48,9 @@ def _frames(result: MeasuredVideo) -> list[dict]:
     ]
 
 
-def measurement_page(result: MeasuredVideo, known: dict[str, Any] | None = None) -> str:
-    """The page as HTML; of the example also what is `known`: fabric, substrate and friction."""
+def measurement_page(result: MeasuredVideo) -> str:
+    """The page as HTML; of the example also what is known: fabric, substrate and friction."""
+    known = truth_of(result.path)
     weights = np.asarray(result.measurement.attention_weights, dtype=float)
     materials = result.measurement.material_probabilities
     shape = svg_element(_distribution(result, known), "Distribution of the friction coefficient")
@@ -153,5 +156,33 @@ def _figure(pair: "MeasuredPair"):
     shown = short if len(set(short)) == len(names) else names
     axes.set_yticks(range(len(names)), map(plain_text, shown))
     axes.invert_yaxis()
+    axes.set_xlabel("friction coefficient")
+    return figure
+
+
+def captures_page(captures: "MeasuredCaptures") -> str:
+    """The page of all pairs of a table as HTML; it needs no other file."""
+    title = "Friction of each pair with its interval, and the reference where there is one"
+    figure = svg_element(_pairs_figure(captures), title)
+    return render(_OF_CAPTURES, captures=captures, figure=figure, span=span)
+
+
+@styled
+def _pairs_figure(captures: "MeasuredCaptures") -> Figure:
+    """Every pair's combined interval, one below the other, beside its reference."""
+    figure = new_figure(8.6, 0.9 + 0.3 * len(captures.pairs))
+    axes = figure.subplots()
+    for row, pair in enumerate(captures.pairs):
+        if together := pair.measured.together:
+            if not pair.measured.without_error_bar:
+                axes.plot(together.interval_90, [row, row], color=SOFT, lw=2)
+            axes.plot(together.friction_coefficient, row, "o", color=INK, ms=5)
+        if pair.mu_ref is not None:
+            error = pair.mu_ref_error
+            axes.errorbar(pair.mu_ref, row + 0.25, xerr=error, fmt="D", color=VERMILION, ms=4)
+    axes.set_yticks(
+        range(len(captures.pairs)), [plain_text(_short(pair.title, 40)) for pair in captures.pairs]
+    )
+    axes.set_ylim(len(captures.pairs) - 0.5, -0.5)
     axes.set_xlabel("friction coefficient")
     return figure

@@ -81,6 +81,13 @@ class ToldFabric:
                     f"{one.title} {value:g}: must be from {low:g} to {high:g} {one.unit}"
                 )
 
+    def __str__(self) -> str:
+        told = (
+            f"{QUANTITIES[name].title} {value:g} {QUANTITIES[name].unit}"
+            for name, value in self.told.items()
+        )
+        return ", ".join(told) or "nothing"
+
     @cached_property
     def tested(self) -> dict[str, tuple[float, float]]:
         """Least and largest of each quantity that was tested."""

@@ -1,0 +1,161 @@
+"""All videos of a captures table measured, pair by pair."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from slipstitch.base.errors import BadInput
+from slipstitch.film.captures_table import REFERENCE, Capture, read_captures
+from slipstitch.film.measure.clamp_height import told_height
+from slipstitch.film.measure.measurement_files import (
+    COLUMNS,
+    Film,
+    MeasuredPair,
+    csv_text,
+    measured_pair,
+    names_of,
+)
+from slipstitch.film.measure.measuring_bench import MeasuringBench
+from slipstitch.film.measure.pages import captures_page
+from slipstitch.film.measure.told_fabric import QUANTITIES
+
+
+@dataclass(frozen=True)
+class CapturedPair:
+    """What the videos of one pair say, and what was measured of it by other means."""
+
+    material: str
+    substrate: str
+    mu_ref: float | None  # with half the width of its interval; None: not measured
+    mu_ref_error: float | None
+    measured: MeasuredPair
+
+    @property
+    def title(self) -> str:
+        """Name of the pair."""
+        return f"{self.material} on {self.substrate}"
+
+    @property
+    def beside(self) -> str:
+        """The reference, in words; empty where there is none."""
+        if self.mu_ref is None:
+            return ""
+        return f"reference {self.mu_ref:.3f} ± {self.mu_ref_error:.3f}"
+
+    @property
+    def labels(self) -> dict[str, Any]:
+        """What the table says of the pair."""
+        return {"material": self.material, "substrate": self.substrate, "mu_ref": self.mu_ref,
+                "mu_ref_error": self.mu_ref_error}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class MeasuredCaptures:
+    """All pairs of a table, in its order; at least one video was measured."""
+
+    pairs: list[CapturedPair]
+
+    @property
+    def videos(self) -> list:
+        """All videos that were measured."""
+        return [video for pair in self.pairs for video in pair.measured.videos]
+
+    @property
+    def refused(self) -> list[str]:
+        """Why each of the other videos could not be measured."""
+        return [problem for pair in self.pairs for problem in pair.measured.refused.values()]
+
+    @property
+    def instrument(self) -> str:
+        """What identifies the instrument."""
+        return self.videos[0].instrument
+
+    def lines(self) -> list[str]:
+        """The result for a terminal."""
+        lines = []
+        for pair in self.pairs:
+            measured = pair.measured
+            said = "; ".join(filter(None, [measured.summary(), pair.beside]))
+            lines.append(f"{pair.title}: {said}")
+            for video in measured.videos:
+                if video.alarm_reason:
+                    lines.append(f"  ALARM in {video.name}: {video.alarm_reason}")
+            lines += [f"  {remark}" for remark in measured.remarks()]
+        return lines
+
+    def numbers(self) -> dict[str, Any]:
+        """The result for a program."""
+        return {"pairs": [pair.labels | pair.measured.numbers_of_repeats() for pair in self.pairs]}
+
+    def table(self) -> str:
+        """CSV: of every pair a row per video, measured or not, then the combined value."""
+        rows = (pair.labels | row for pair in self.pairs for row in pair.measured.rows())
+        return csv_text(("material", "substrate", *REFERENCE, *COLUMNS), rows)
+
+    def page(self) -> str:
+        """The result as an HTML page."""
+        return captures_page(self)
+
+
+def measured_captures(
+    table: str | Path,
+    bench_of: Callable[[Path], MeasuringBench],
+    progress: Callable[[Sequence], Iterable] = iter,
+) -> tuple[MeasuredCaptures, list[Path]]:
+    """Measure the videos of a captures table; return also the files that were read.
+
+    Parameters
+    ----------
+    table : path
+        See `slipstitch.film.captures_table.read_captures`; mu_ref may be missing.
+    bench_of : callable
+        Opens the bench behind a camera.
+    progress : callable
+        Is told the pairs, and returns what goes through them.
+
+    BadInput if the table, a camera, or what a row tells cannot be used, before any video is read;
+    or if no video at all can be measured.
+    """
+    captures = read_captures(table, referenced=False)
+    cameras = {one.camera: bench_of(one.camera) for one in captures}
+    films = {one: _film(table, one, cameras[one.camera]) for one in captures}
+    names = dict(zip(captures, names_of([one.video for one in captures]), strict=True))
+    of_pair: dict[str, list[Capture]] = {}
+    for one in captures:
+        of_pair.setdefault(one.pair, []).append(one)
+    pairs = []
+    for rows in progress(list(of_pair.values())):
+        measured = measured_pair([films[one] for one in rows], [names[one] for one in rows])
+        first = rows[0]
+        pairs.append(
+            CapturedPair(
+                first.material, first.substrate, first.mu_ref, first.mu_ref_error, measured
+            )
+        )
+    result = MeasuredCaptures(pairs)
+    if not result.videos:
+        raise BadInput(
+            f"{table}: none of {len(captures)} videos can be measured; the first: "
+            f"{result.refused[0]}"
+        )
+    return result, [Path(table), *cameras, *(one.video for one in captures)]
+
+
+def _film(table: str | Path, capture: Capture, bench: MeasuringBench) -> Film:
+    """A row's video, and its bench with what the row tells."""
+    told = {name: getattr(capture, name) for name in QUANTITIES}
+    try:
+        fabric = replace(
+            bench.fabric, told={name: value for name, value in told.items() if value is not None}
+        )
+        clamps = told_height(
+            capture.clamp_height_mm,
+            capture.clamp_height_error_mm,
+            bench.schedule.path.lowered_height_m,
+            bench.is_shipped,
+        )
+    except BadInput as problem:
+        raise BadInput(f"{table} line {capture.line}: {problem}") from None
+    bench = replace(bench, fabric=fabric, clamps=clamps)
+    return Film(capture.video, bench, capture.start_s, capture.frame_rate_hz)
