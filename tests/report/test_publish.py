@@ -334,6 +334,7 @@ def test_an_update_takes_the_same_images_in_other_files(run, tmp_path, same):
         evaluate(results)
         shutil.rmtree(weights.parent)  # on the first machine
         assert not publish(CONFIG, run.name, out, update=True)["partial"]
+    assert all(any(folder.iterdir()) for folder in out.rglob("*") if folder.is_dir())
     digests = content(out, "dataset/digests.json")
     shards = (results / "sample").glob("m0*.parquet")
     assert digests["digest"] == digest

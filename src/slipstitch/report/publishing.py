@@ -187,7 +187,8 @@ def _keep(config: Config, before: Path, folder: Path, there: Iterable[str]) -> N
     known = {to: name for name, to in finished_files(config).items()}
     anew = {known.get(name) for name in there}
     for to in (*known, *OPTIONAL, *_files(before, FURTHER)):
-        if to not in there and not (folder / to).exists():
+        is_there = to in there or (folder / to).exists()
+        if not is_there and (before / to).parent.is_dir():
             _copy(before / to, folder / to, is_published(config, to))
     same = load_config(before / "config.json") == config
     manifests = [one / "dataset" / MANIFEST for one in (before, folder)]
