@@ -12,26 +12,27 @@ from pathlib import Path
 
 import numpy
 import pandas
+from results_pictures import pictures, tail_moves_m
 from scipy.stats import binomtest
 
 from slipstitch.base.provenance import read_parquet
 from slipstitch.config import load_config
 from slipstitch.criticise.verdict import RULES
 from slipstitch.design.grid import simulations
-from slipstitch.design.stage_path import SIDE_M, StagePath
+from slipstitch.design.stage_path import StagePath
 from slipstitch.film.measure import SHIPPED
 from slipstitch.film.measure.clamp_height import ClampHeight
 from slipstitch.learning.evaluation import paper as printed
 from slipstitch.learning.instrument import calibration
 from slipstitch.learning.instrument.distribution import grouped_quantile
 from slipstitch.learning.instrument.measuring import COVERAGE, HALF_WIDTH, load_instrument
-from slipstitch.physics.experiments.strip_drag import flexible_strip_drag
 from slipstitch.physics.simulation.drop_and_drag import draw_perturbation
 from slipstitch.report.scores import Scores
 
 ROOT = Path(__file__).parents[1]
 PUBLISHED = ROOT / "results" / "published"
 PAGE = ROOT / "docs" / "results.md"
+PICTURES = PAGE.with_name("pictures")
 CRITICISM = ROOT / "docs" / "how" / "criticism.md"
 CONFIG_PAGE = ROOT / "docs" / "config.md"
 SCHEMA = ROOT / "workflow/schemas/config.schema.json"
@@ -133,14 +134,9 @@ def paper_unseen():
 def paper_coefficients():
     """Return how often each coefficient is right, beside what theory says of its neighbour."""
     details = read("paper/details.json")["by_video"]["friction_conditional"]
-    height_m = StagePath().lowered_height_m
     rows, classes = [], zip(details["classes"], details["confusion"], strict=True)
     for k, (of_class, counts) in enumerate(classes):
-        tail_m, next_m = (
-            flexible_strip_drag(friction, SIDE_M, height_m).holder_ahead_of_tail_m
-            for friction in (of_class["value"], of_class["value"] + 0.1)
-        )
-        moved = f"{1e3 * (next_m - tail_m):.1f} mm"
+        moved = f"{1e3 * tail_moves_m(of_class['value']):.1f} mm"
         rows.append([f"{of_class['value']:g}", moved, f"{counts[k]} of {sum(counts)}"])
     return table("μ|tail moves to the next 0.1 by|right", rows)
 
@@ -487,16 +483,21 @@ SECTIONS = {
         paper_unseen,
     ),
     "Which coefficients are hard": (
+        "![True against predicted fabrics and coefficients](pictures/confusions.svg)\n\n"
         "Videos at random. A heavy strip's tail moves less as friction grows.",
         paper_coefficients,
     ),
     "The instrument, domain by domain": (
-        "Each simulation counts once for the coverage. Those of the fourth row calibrate the "
+        "Coverage counts each simulation once. Those of the fourth row calibrate the "
         "intervals, too: each has the intervals without it.",
         instrument_domains,
     ),
     "The instrument from every side": ("The same held-out simulations.", instrument_angles),
-    "The instrument by fabric and coefficient": ("Simulations held out.", instrument_fabrics),
+    "The instrument by fabric and coefficient": (
+        "![Mean error against friction, two limits](pictures/error_by_friction.svg)\n\n"
+        "Simulations held out.",
+        instrument_fabrics,
+    ),
     "Height of the clamps": (
         "The instrument does not know the height; `--clamp-height-mm` corrects by the first row.",
         clamp_height,
@@ -517,14 +518,11 @@ SECTIONS = {
     ),
     "Another processor": ("", processors),
     "The simulator against theory": (
-        "Settings of the paper's grid, checked before the grid was simulated.",
+        "With the settings of the grid, before the grid.",
         known_answers,
     ),
     "Convergence": ("Distance of the vertices, largest over three coefficients.", convergence),
-    "What a simulation costs": (
-        "131 s of the protocol, 41 × 41 vertices, one core of a 2-core machine.",
-        simulation_cost,
-    ),
+    "What a simulation costs": ("The whole protocol, 41 × 41 vertices, one core.", simulation_cost),
     "Criticism of measured data": ("", measured_cases),
     "Criticism of simulated campaigns": (
         "Campaigns of forward models of their own, of known truth, at seeds that no constant was "
@@ -540,7 +538,7 @@ SECTIONS = {
 def results_page():
     """Return the text of docs/results.md."""
     text = "# Results\n\nEvery measured number, from the files in `results/published`. "
-    text += "Written by `make results`; how each was measured is in the file's record.\n"
+    text += "Written by `make results`; each file's record says how.\n"
     for title, (words, make) in SECTIONS.items():
         text += f"\n## {title}\n\n" + (f"{words}\n\n" if words else "") + f"{make()}\n"
     return text
@@ -653,7 +651,14 @@ def main():
         CRITICISM: criticism_page(),
         CARD: model_card(),
     }
-    stale = [path for path, text in pages.items() if path.read_text(encoding="utf-8") != text]
+    of_instrument = read("instrument/details.json")["by_simulation"]["instrument_ensemble"]
+    by_friction = of_instrument["by"]["friction"].items()
+    known = {float(value): part["mean_absolute_error"] for value, part in by_friction}
+    readings = pandas.DataFrame(read("camera/drawn_fabrics.json")["readings"])
+    drawn = pictures(known, readings, read("paper/details.json"))
+    pages |= {PICTURES / name: text for name, text in drawn.items()}
+    there = {path: path.read_text(encoding="utf-8") if path.exists() else "" for path in pages}
+    stale = [path for path, text in pages.items() if there[path] != text]
     for path in stale:
         print(f"{path.relative_to(ROOT)}: not the published numbers" if check else f"wrote {path}")
         if not check:

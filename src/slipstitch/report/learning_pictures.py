@@ -101,9 +101,10 @@ def _draw_confusion(axes: Axes, counts: np.ndarray, labels: Sequence[str]) -> No
     """Counts of (true, predicted) classes; rows are true, darker is a larger share of the row."""
     shares = counts / np.maximum(counts.sum(axis=1, keepdims=True), 1)
     axes.imshow(shares, cmap="Blues", vmin=0.0, vmax=1.0)
-    few = evenly(range(len(labels)), 8)
+    are_names = max(map(len, labels)) > 4
+    few = evenly(range(len(labels)), 10 if are_names else 6)
     names = [labels[place] for place in few]
-    axes.set_xticks(few, names, fontsize=7, rotation=45 if max(map(len, names)) > 4 else 0)
+    axes.set_xticks(few, names, fontsize=7, rotation=90 if are_names else 0)
     axes.set_yticks(few, names, fontsize=7)
     axes.tick_params(length=0)
     axes.spines[:].set_visible(False)
