@@ -66,26 +66,18 @@ def _bench(arguments: options.Arguments, camera):
 
 def _videos(arguments: options.Arguments):
     """Measure videos of one pair, and return what was read."""
-    from dataclasses import replace
-
     from slipstitch.film.measure import EXAMPLE_CAMERA, EXAMPLE_VIDEO
-    from slipstitch.film.measure.clamp_height import told_height
     from slipstitch.film.measure.measurement_files import Film, measured_repeats
     from slipstitch.film.measure.told_fabric import QUANTITIES
 
     videos, camera = list(arguments.videos), arguments.camera
     if arguments.example:
         videos, camera = [EXAMPLE_VIDEO], EXAMPLE_CAMERA
-    bench = _bench(arguments, camera)
-    clamps = told_height(
+    bench = _bench(arguments, camera).told(
         arguments.clamp_height_mm,
         arguments.clamp_height_error_mm,
-        bench.schedule.path.lowered_height_m,
-        bench.is_shipped,
+        **{name: getattr(arguments, name) for name in QUANTITIES},
     )
-    told = {name: getattr(arguments, name) for name in QUANTITIES}
-    told = {name: value for name, value in told.items() if value is not None}
-    bench = replace(bench, clamps=clamps, fabric=replace(bench.fabric, told=told))
     clock = {"start_s": arguments.start_s, "frame_rate_hz": arguments.frame_rate_hz}
     pair = measured_repeats([Film(video, bench, **clock) for video in videos])
     return pair, [*videos, camera, bench.config_path]

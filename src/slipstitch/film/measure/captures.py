@@ -1,13 +1,12 @@
 """All videos of a captures table measured, pair by pair."""
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from slipstitch.base.errors import BadInput
 from slipstitch.film.captures_table import REFERENCE, Capture, read_captures
-from slipstitch.film.measure.clamp_height import told_height
 from slipstitch.film.measure.measurement_files import (
     COLUMNS,
     Film,
@@ -118,8 +117,8 @@ def measured_captures(
     or if no video at all can be measured.
     """
     captures = read_captures(table, referenced=False)
-    cameras = {one.camera: bench_of(one.camera) for one in captures}
-    films = {one: _film(table, one, cameras[one.camera]) for one in captures}
+    benches = {camera: bench_of(camera) for camera in dict.fromkeys(one.camera for one in captures)}
+    films = {one: _film(table, one, benches[one.camera]) for one in captures}
     names = dict(zip(captures, names_of([one.video for one in captures]), strict=True))
     of_pair: dict[str, list[Capture]] = {}
     for one in captures:
@@ -139,23 +138,18 @@ def measured_captures(
             f"{table}: none of {len(captures)} videos can be measured; the first: "
             f"{result.refused[0]}"
         )
-    return result, [Path(table), *cameras, *(one.video for one in captures)]
+    configs = {bench.config_path for bench in benches.values()}
+    return result, [Path(table), *benches, *configs, *(one.video for one in captures)]
 
 
 def _film(table: str | Path, capture: Capture, bench: MeasuringBench) -> Film:
     """A row's video, and its bench with what the row tells."""
-    told = {name: getattr(capture, name) for name in QUANTITIES}
     try:
-        fabric = replace(
-            bench.fabric, told={name: value for name, value in told.items() if value is not None}
-        )
-        clamps = told_height(
+        told = bench.told(
             capture.clamp_height_mm,
             capture.clamp_height_error_mm,
-            bench.schedule.path.lowered_height_m,
-            bench.is_shipped,
+            **{name: getattr(capture, name) for name in QUANTITIES},
         )
     except BadInput as problem:
         raise BadInput(f"{table} line {capture.line}: {problem}") from None
-    bench = replace(bench, fabric=fabric, clamps=clamps)
-    return Film(capture.video, bench, capture.start_s, capture.frame_rate_hz)
+    return Film(capture.video, told, capture.start_s, capture.frame_rate_hz)

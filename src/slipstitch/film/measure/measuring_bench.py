@@ -15,7 +15,13 @@ from slipstitch.config.train import REFLECTIVE
 from slipstitch.design.grid import sampled_frames
 from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.measure import SHIPPED
-from slipstitch.film.measure.clamp_height import ASSUMED_M, READING_PER_M, ClampHeight, SeenClamps
+from slipstitch.film.measure.clamp_height import (
+    ASSUMED_M,
+    READING_PER_M,
+    ClampHeight,
+    SeenClamps,
+    told_height,
+)
 from slipstitch.film.measure.told_fabric import QUANTITIES, ToldFabric
 from slipstitch.film.stage_video import StageVideo, problem_of_view, read_stage_video, seen_shares
 from slipstitch.images.calibrated_view import POSITION_SD_M, ROTATION_SD_DEG
@@ -198,6 +204,23 @@ class MeasuringBench:
         """What an error bar does not cover here."""
         beyond = just_beyond(self.pose, self.pose_range) if self.pose_range else ""
         return (*self.instrument.caveats, *filter(None, [beyond]))
+
+    def told(
+        self, height_mm: float | None, height_error_mm: float | None, **fabric: float | None
+    ) -> "MeasuringBench":
+        """Return the bench with what was told of it; None: not told. BadInput if of no bench.
+
+        Parameters
+        ----------
+        height_mm, height_error_mm : float, optional
+            Of the lowered clamps; see `slipstitch.film.measure.clamp_height.told_height`.
+        **fabric : float, optional
+            By the names of `slipstitch.film.measure.told_fabric.QUANTITIES`.
+        """
+        known = {name: value for name, value in fabric.items() if value is not None}
+        protocol_m = self.schedule.path.lowered_height_m
+        clamps = told_height(height_mm, height_error_mm, protocol_m, self.is_shipped)
+        return replace(self, clamps=clamps, fabric=replace(self.fabric, told=known))
 
     def measure(
         self, path: str | Path, *, start_s: float | None = None, frame_rate_hz: float | None = None
