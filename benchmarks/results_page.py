@@ -482,7 +482,7 @@ def simulated_campaigns():
 SECTIONS = {
     "The paper's networks": (
         "160 simulations, ten fabrics, sixteen coefficients; 3072 training videos of 32 pixels. "
-        "One seed. Three views: before fine-tuning; calibrated view: after. –: not trained yet.",
+        "One seed. Three views: before fine-tuning; calibrated view: after.",
         paper_table_2,
     ),
     "Unseen textures and turned cameras": (
