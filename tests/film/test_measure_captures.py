@@ -101,6 +101,8 @@ def test_a_reference_has_its_error_and_a_table_its_own_videos(bench, capsys):
         flag = option.split()[0]
         said = refused(capsys, f"{command} {option}")
         assert f"{flag} cannot be combined with --captures" in said
+    said = refused(capsys, f"{command} --json camera.json")
+    assert "--json camera.json: captures.csv names this file" in said
     (bench / "a.mp4").write_text("no video")
     said = refused(capsys, command)
     assert "captures.csv: none of 1 videos can be measured; the first: a.mp4: a text file" in said

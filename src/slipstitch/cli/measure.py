@@ -1,6 +1,7 @@
-"""Friction with its error bar from videos of one pair."""
+"""Friction with its error bar from videos of one pair, or of all pairs of a table."""
 
 import math
+from pathlib import Path
 
 from click import argument, option
 
@@ -94,11 +95,23 @@ def _captures(arguments: options.Arguments):
     return measured_captures(arguments.captures, partial(_bench, arguments), bar)
 
 
+def _refuse_overwriting(arguments: options.Arguments) -> None:
+    """Refuse to write over a file that the table names."""
+    from slipstitch.film.captures_table import files_named
+
+    named = {Path(file).resolve() for file in files_named(arguments.captures)}
+    for name in ("out", "json", "csv"):
+        file = getattr(arguments, name)
+        if file is not None and Path(file).resolve() in named:
+            raise BadInput(f"--{name} {file}: {arguments.captures} names this file")
+
+
 def _check(arguments: options.Arguments) -> None:
     if arguments.captures:
         if arguments.videos:
             raise BadInput("--captures has its own videos: give none with it")
         options.refuse(arguments, _OF_VIDEOS, "--captures")
+        _refuse_overwriting(arguments)
     elif arguments.example:
         if arguments.videos or arguments.camera:
             raise BadInput("--example has its own video and camera: give neither with it")

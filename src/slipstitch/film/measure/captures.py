@@ -54,6 +54,12 @@ class MeasuredCaptures:
     """All pairs of a table, in its order; at least one video was measured."""
 
     pairs: list[CapturedPair]
+    surrogate: bool = False  # whether the films are simulated, which are never called real
+
+    @property
+    def kind(self) -> str:
+        """What the films are."""
+        return "surrogate captures: simulated, not real" if self.surrogate else "captures"
 
     @property
     def videos(self) -> list:
@@ -72,7 +78,7 @@ class MeasuredCaptures:
 
     def lines(self) -> list[str]:
         """The result for a terminal."""
-        lines = []
+        lines = [f"these are {self.kind}"] if self.surrogate else []
         for pair in self.pairs:
             measured = pair.measured
             said = "; ".join(filter(None, [measured.summary(), pair.beside]))
@@ -85,7 +91,10 @@ class MeasuredCaptures:
 
     def numbers(self) -> dict[str, Any]:
         """The result for a program."""
-        return {"pairs": [pair.labels | pair.measured.numbers_of_repeats() for pair in self.pairs]}
+        return {
+            "surrogate": self.surrogate,
+            "pairs": [pair.labels | pair.measured.numbers_of_repeats() for pair in self.pairs],
+        }
 
     def table(self) -> str:
         """CSV: of every pair a row per video, measured or not, then the combined value."""
@@ -132,7 +141,7 @@ def measured_captures(
                 first.material, first.substrate, first.mu_ref, first.mu_ref_error, measured
             )
         )
-    result = MeasuredCaptures(pairs)
+    result = MeasuredCaptures(pairs, captures[0].surrogate)
     if not result.videos:
         raise BadInput(
             f"{table}: none of {len(captures)} videos can be measured; the first: "

@@ -27,7 +27,7 @@ COMBINED = "combined"  # the name of the last row
 class MeasuredPair:
     """Videos of one pair of fabric and substrate."""
 
-    videos: list[MeasuredVideo]  # at least one; no two have the same name
+    videos: list[MeasuredVideo]  # no two have the same name
     refused: dict[str, str]  # name of each of the other videos -> why it could not be measured
 
     @cached_property
@@ -74,7 +74,7 @@ class MeasuredPair:
 
     def lines(self) -> list[str]:
         """The result for a terminal."""
-        if self.count == 1 and self.videos:
+        if self.count == 1:
             return self.videos[0].lines()
         lines = []
         for video in self.videos:

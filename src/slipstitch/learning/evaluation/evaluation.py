@@ -202,7 +202,7 @@ def write_evaluation(
     if rescaled:
         kept.add(AVERAGE)
     table = predicted_table(dataset, trained.load(frozenset(kept)))
-    if kept:
+    if before:
         again = {row["network"] for row in table.rows}
         table.add(
             _written(predictions_file, details_file, rescaled),
@@ -246,6 +246,8 @@ def _scored_before(
         scored = read_metadata(predictions).get("dataset_digest")
     except FileNotFoundError:
         raise BadInput(f"{metrics}: no scores to update: run without --update") from None
+    if scored is None:
+        raise BadInput(f"{predictions}: of an earlier version: run without --update")
     if scored != digest:
         raise BadInput(f"{metrics}: scores of another dataset than {dataset}")
     return record.get("inputs", {})
