@@ -481,12 +481,12 @@ def simulated_campaigns():
 
 SECTIONS = {
     "The paper's networks": (
-        "160 simulations, ten fabrics, sixteen coefficients; 3072 training videos of 32 pixels. "
-        "One seed. Three views: before fine-tuning; calibrated view: after.",
+        "160 simulations; 3072 training videos of 32 pixels. "
+        "One seed, with ±: two. Three views: before fine-tuning; calibrated view: after.",
         paper_table_2,
     ),
     "Unseen textures and turned cameras": (
-        "In brackets: Wilson's 90 % interval. The instrument's turned films: its own simulations.",
+        "In brackets: Wilson's 90 % interval. The instrument: its own simulations.",
         paper_unseen,
     ),
     "Where coefficients and fabrics are hard": (
@@ -506,10 +506,7 @@ SECTIONS = {
         "Simulations held out.",
         instrument_fabrics,
     ),
-    "Height of the clamps": (
-        "The instrument does not know the height; `--clamp-height-mm` corrects by the first row.",
-        clamp_height,
-    ),
+    "Height of the clamps": ("`--clamp-height-mm` corrects by the first row.", clamp_height),
     "Height of the clamps, as a film tells it": (
         "Rendered films of 480 pixels, clamps at 148 to 152 mm, other cameras, cloths, floors and "
         "textures (`studies/clamp_height.py`).",
