@@ -11,9 +11,6 @@ from slipstitch.cli import options
 # A program must not mistake a result with an alarm for a measurement.
 ALARM_EXIT_CODE = 3
 BAD_INPUT_EXIT_CODE = 2
-# What the rows of a captures table say themselves.
-_OF_VIDEOS = ("example", "camera", "start_s", "frame_rate_hz", "clamp_height_mm",
-              "clamp_height_error_mm", "areal_density_g_m2", "bending_length_mm")  # fmt: skip
 
 
 @options.verb("slipstitch measure bench/glass_1.mp4 --camera bench/camera.json --out glass_1.html")
@@ -67,18 +64,15 @@ def _bench(arguments: options.Arguments, camera):
 
 def _videos(arguments: options.Arguments):
     """Measure videos of one pair, and return what was read."""
+    from slipstitch.film.captures_table import TOLD
     from slipstitch.film.measure import EXAMPLE_CAMERA, EXAMPLE_VIDEO
     from slipstitch.film.measure.measurement_files import Film, measured_repeats
-    from slipstitch.film.measure.told_fabric import QUANTITIES
 
     videos, camera = list(arguments.videos), arguments.camera
     if arguments.example:
         videos, camera = [EXAMPLE_VIDEO], EXAMPLE_CAMERA
-    bench = _bench(arguments, camera).told(
-        arguments.clamp_height_mm,
-        arguments.clamp_height_error_mm,
-        **{name: getattr(arguments, name) for name in QUANTITIES},
-    )
+    told = {name: getattr(arguments, name) for name in TOLD}
+    bench = _bench(arguments, camera).told(**told)
     clock = {"start_s": arguments.start_s, "frame_rate_hz": arguments.frame_rate_hz}
     pair = measured_repeats([Film(video, bench, **clock) for video in videos])
     return pair, [*videos, camera, bench.config_path]
@@ -95,10 +89,14 @@ def _captures(arguments: options.Arguments):
     return measured_captures(arguments.captures, partial(_bench, arguments), bar)
 
 
-def _refuse_overwriting(arguments: options.Arguments) -> None:
-    """Refuse to write over a file that the table names."""
-    from slipstitch.film.captures_table import files_named
+def _check_captures(arguments: options.Arguments) -> None:
+    """Refuse what the table's rows say themselves, and to write over a file that they name."""
+    from slipstitch.film.captures_table import TOLD, files_named
 
+    if arguments.videos:
+        raise BadInput("--captures has its own videos: give none with it")
+    of_rows = ("example", "camera", "start_s", "frame_rate_hz", *TOLD)
+    options.refuse(arguments, of_rows, "--captures")
     named = {Path(file).resolve() for file in files_named(arguments.captures)}
     for name in ("out", "json", "csv"):
         file = getattr(arguments, name)
@@ -108,10 +106,7 @@ def _refuse_overwriting(arguments: options.Arguments) -> None:
 
 def _check(arguments: options.Arguments) -> None:
     if arguments.captures:
-        if arguments.videos:
-            raise BadInput("--captures has its own videos: give none with it")
-        options.refuse(arguments, _OF_VIDEOS, "--captures")
-        _refuse_overwriting(arguments)
+        _check_captures(arguments)
     elif arguments.example:
         if arguments.videos or arguments.camera:
             raise BadInput("--example has its own video and camera: give neither with it")

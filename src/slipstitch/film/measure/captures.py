@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from slipstitch.base.errors import BadInput
-from slipstitch.film.captures_table import REFERENCE, Capture, read_captures
+from slipstitch.film.captures_table import REFERENCE, TOLD, Capture, read_captures
 from slipstitch.film.measure.measurement_files import (
     COLUMNS,
     Film,
@@ -17,36 +17,33 @@ from slipstitch.film.measure.measurement_files import (
 )
 from slipstitch.film.measure.measuring_bench import MeasuringBench
 from slipstitch.film.measure.pages import captures_page
-from slipstitch.film.measure.told_fabric import QUANTITIES
+
+LABELS = ("material", "substrate", *REFERENCE)
 
 
 @dataclass(frozen=True)
 class CapturedPair:
     """What the videos of one pair say, and what was measured of it by other means."""
 
-    material: str
-    substrate: str
-    mu_ref: float | None  # with half the width of its interval; None: not measured
-    mu_ref_error: float | None
+    capture: Capture  # one of the pair's, which agree in what is said of it
     measured: MeasuredPair
 
     @property
     def title(self) -> str:
         """Name of the pair."""
-        return f"{self.material} on {self.substrate}"
+        return f"{self.capture.material} on {self.capture.substrate}"
 
     @property
-    def beside(self) -> str:
-        """The reference, in words; empty where there is none."""
-        if self.mu_ref is None:
+    def reference(self) -> str:
+        """Friction measured by other means, in words; empty where it was not."""
+        if self.capture.mu_ref is None:
             return ""
-        return f"reference {self.mu_ref:.3f} ± {self.mu_ref_error:.3f}"
+        return f"{self.capture.mu_ref:.3f} ± {self.capture.mu_ref_error:.3f}"
 
     @property
     def labels(self) -> dict[str, Any]:
-        """What the table says of the pair."""
-        return {"material": self.material, "substrate": self.substrate, "mu_ref": self.mu_ref,
-                "mu_ref_error": self.mu_ref_error}  # fmt: skip
+        """What the table says of the pair, by `LABELS`."""
+        return {name: getattr(self.capture, name) for name in LABELS}
 
 
 @dataclass(frozen=True)
@@ -54,12 +51,16 @@ class MeasuredCaptures:
     """All pairs of a table, in its order; at least one video was measured."""
 
     pairs: list[CapturedPair]
-    surrogate: bool = False  # whether the films are simulated, which are never called real
 
     @property
-    def kind(self) -> str:
-        """What the films are."""
-        return "surrogate captures: simulated, not real" if self.surrogate else "captures"
+    def surrogate(self) -> bool:
+        """Whether the films are simulated, which are never called real."""
+        return self.pairs[0].capture.surrogate
+
+    @property
+    def caveat(self) -> str:
+        """What is to be said of all films; empty if nothing."""
+        return "surrogate captures: simulated, not real" if self.surrogate else ""
 
     @property
     def videos(self) -> list:
@@ -78,11 +79,11 @@ class MeasuredCaptures:
 
     def lines(self) -> list[str]:
         """The result for a terminal."""
-        lines = [f"these are {self.kind}"] if self.surrogate else []
+        lines = [f"these are {self.caveat}"] if self.caveat else []
         for pair in self.pairs:
             measured = pair.measured
-            said = "; ".join(filter(None, [measured.summary(), pair.beside]))
-            lines.append(f"{pair.title}: {said}")
+            beside = f"; reference {pair.reference}" if pair.reference else ""
+            lines.append(f"{pair.title}: {measured.summary()}{beside}")
             for video in measured.videos:
                 if video.alarm_reason:
                     lines.append(f"  ALARM in {video.name}: {video.alarm_reason}")
@@ -99,7 +100,7 @@ class MeasuredCaptures:
     def table(self) -> str:
         """CSV: of every pair a row per video, measured or not, then the combined value."""
         rows = (pair.labels | row for pair in self.pairs for row in pair.measured.rows())
-        return csv_text(("material", "substrate", *REFERENCE, *COLUMNS), rows)
+        return csv_text((*LABELS, *COLUMNS), rows)
 
     def page(self) -> str:
         """The result as an HTML page."""
@@ -135,13 +136,8 @@ def measured_captures(
     pairs = []
     for rows in progress(list(of_pair.values())):
         measured = measured_pair([films[one] for one in rows], [names[one] for one in rows])
-        first = rows[0]
-        pairs.append(
-            CapturedPair(
-                first.material, first.substrate, first.mu_ref, first.mu_ref_error, measured
-            )
-        )
-    result = MeasuredCaptures(pairs, captures[0].surrogate)
+        pairs.append(CapturedPair(rows[0], measured))
+    result = MeasuredCaptures(pairs)
     if not result.videos:
         raise BadInput(
             f"{table}: none of {len(captures)} videos can be measured; the first: "
@@ -154,11 +150,7 @@ def measured_captures(
 def _film(table: str | Path, capture: Capture, bench: MeasuringBench) -> Film:
     """A row's video, and its bench with what the row tells."""
     try:
-        told = bench.told(
-            capture.clamp_height_mm,
-            capture.clamp_height_error_mm,
-            **{name: getattr(capture, name) for name in QUANTITIES},
-        )
+        told = bench.told(**{name: getattr(capture, name) for name in TOLD})
     except BadInput as problem:
         raise BadInput(f"{table} line {capture.line}: {problem}") from None
     return Film(capture.video, told, capture.start_s, capture.frame_rate_hz)

@@ -206,20 +206,24 @@ class MeasuringBench:
         return (*self.instrument.caveats, *filter(None, [beyond]))
 
     def told(
-        self, height_mm: float | None, height_error_mm: float | None, **fabric: float | None
+        self,
+        clamp_height_mm: float | None,
+        clamp_height_error_mm: float | None,
+        **fabric: float | None,
     ) -> "MeasuringBench":
         """Return the bench with what was told of it; None: not told. BadInput if of no bench.
 
         Parameters
         ----------
-        height_mm, height_error_mm : float, optional
+        clamp_height_mm, clamp_height_error_mm : float, optional
             Of the lowered clamps; see `slipstitch.film.measure.clamp_height.told_height`.
         **fabric : float, optional
             By the names of `slipstitch.film.measure.told_fabric.QUANTITIES`.
         """
         known = {name: value for name, value in fabric.items() if value is not None}
         protocol_m = self.schedule.path.lowered_height_m
-        clamps = told_height(height_mm, height_error_mm, protocol_m, self.is_shipped)
+        height = clamp_height_mm, clamp_height_error_mm
+        clamps = told_height(*height, protocol_m, self.is_shipped)
         return replace(self, clamps=clamps, fabric=replace(self.fabric, told=known))
 
     def measure(

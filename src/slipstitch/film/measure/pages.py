@@ -177,9 +177,9 @@ def _pairs_figure(captures: "MeasuredCaptures") -> Figure:
             if not pair.measured.without_error_bar:
                 axes.plot(together.interval_90, [row, row], color=SOFT, lw=2)
             axes.plot(together.friction_coefficient, row, "o", color=INK, ms=5)
-        if pair.mu_ref is not None:
-            error = pair.mu_ref_error
-            axes.errorbar(pair.mu_ref, row + 0.25, xerr=error, fmt="D", color=VERMILION, ms=4)
+        if pair.reference:
+            mu, error = pair.capture.mu_ref, pair.capture.mu_ref_error
+            axes.errorbar(mu, row + 0.25, xerr=error, fmt="D", color=VERMILION, ms=4)
     axes.set_yticks(
         range(len(captures.pairs)), [plain_text(_short(pair.title, 40)) for pair in captures.pairs]
     )
