@@ -13,9 +13,11 @@ from slipstitch.film.captures_table import read_captures
 from slipstitch.film.ingest_videos import read_known
 from slipstitch.film.slip_angles import estimate, read_angles
 from slipstitch.film.surrogates import (
+    FRAME_RATE_HZ,
     calibrated_camera,
     film_size,
     films,
+    motion,
     surrogate_simulation,
     true_camera,
     write_bench,
@@ -44,6 +46,7 @@ def test_films_are_simulated_more_finely_over_the_same_time():
     assert own.yaw_sd_deg > training.yaw_sd_deg
     end_s = (training.frames - 1) / training.frame_rate_hz
     assert (own.frames - 1) / own.frame_rate_hz >= end_s
+    assert own.frame_rate_hz == FRAME_RATE_HZ / CONFIG.captures.later_every
     # As in config/paper.yaml: repeats differ though the training perturbs nothing.
     still = {"yaw_sd_deg": 0.0, "height_sd_m": 0.0, "fabric_sd_rel": 0.0, "curl_side": "same"}
     simulation = training.model_copy(update=still)
@@ -100,6 +103,23 @@ def test_impossible_pairs_and_unknown_films_are_refused(tmp_path, capsys):
     write_config(CONFIG, tmp_path / "config.json")
     command = f"capture surrogate --config {tmp_path}/config.json --film c09_r01 --out x.mp4"
     assert "unknown surrogate capture 'c09_r01'" in refused(capsys, command)
+
+
+def test_a_film_starts_at_the_full_rate_and_goes_on_at_that_of_later_frames():
+    simulation = {"frames": 15, "frame_rate_hz": 2.4, "self_contact": False}
+    captures = {"vertices_per_side": 5, "time_step_s": 0.084, "later_every": 12, "repeats": 1}
+    settings = {"simulation": simulation, "sample": {"frames": 3}, "captures": captures}
+    config = resolve_config(settings)
+    seen = motion(films(config)[0], surrogate_simulation(config))
+    path = StagePath(**dict(config.simulation.stage))
+    assert np.allclose(seen.time_s, [*np.arange(37) / 12, 4, 5, 6, 7])
+    stage_m = np.stack([seen.stage_x_m, seen.stage_z_m])
+    off_m = stage_m - path.position_m(seen.time_s)
+    assert np.allclose(off_m, off_m[:, :1], atol=1e-6)  # this bench's clamps hang lower
+    # Both simulations are of one cloth: the clamps that hold it do not jump between them.
+    held_m = seen.positions_m[:, seen.pinned] - stage_m.T[:, None, [0, 0, 1]] * [1, 0, 1]
+    assert np.abs(held_m - held_m[0]).max() < 1e-4
+    assert (seen.frame == np.arange(len(seen.time_s))).all()
 
 
 @pytest.mark.slow

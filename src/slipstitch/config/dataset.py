@@ -132,7 +132,7 @@ class CaptureSettings(Section):
     """surrogates: largest time step; shorter than in training"""
     width_px: int = Field(256, ge=64, le=1920)
     """surrogates: width of the video; its height is three quarters"""
-    later_every: int = Field(4, ge=1, le=6)
+    later_every: int = Field(4, ge=1, le=25)
     """surrogates: afterwards one frame in this many is recorded"""
 
     @model_validator(mode="after")

@@ -99,15 +99,15 @@ def find_film(config: Config, name: str) -> Film:
 def surrogate_simulation(config: Config) -> SimulationSettings:
     """Settings of the simulations: as for the training data, except for the distribution shift."""
     settings, training = config.captures, config.simulation
-    duration_s = training.recorded_s
+    rate_hz = FRAME_RATE_HZ / settings.later_every
     # Not in units of the training's own variation: that of the paper's experiment is none.
     factor, usual = BENCH_VARIATION, SimulationSettings()
     return training.model_copy(
         update={
             "vertices_per_side": settings.vertices_per_side,
             "time_step_s": settings.time_step_s,
-            "frame_rate_hz": FRAME_RATE_HZ,
-            "frames": int(np.ceil(duration_s * FRAME_RATE_HZ)) + 2,
+            "frame_rate_hz": rate_hz,
+            "frames": int(np.ceil(training.recorded_s * rate_hz)) + 2,
             "yaw_sd_deg": factor * usual.yaw_sd_deg,
             "height_sd_m": min(factor * usual.height_sd_m, 0.005),
             "fabric_sd_rel": min(factor * usual.fabric_sd_rel, 0.3),
@@ -228,9 +228,7 @@ def make_film(config: Config, film: Film, out: str | Path, progress=iter) -> int
     """Simulate and render one capture as an MP4 file; return its number of frames."""
     started = start_clock()
     settings = surrogate_simulation(config)
-    trajectory, _ = simulate_drop_and_drag(
-        DropAndDrag(film.pair.material, film.friction, film.seed), settings
-    )
+    trajectory = motion(film, settings)
     images = _lens_images(config, film, trajectory, progress)
     with atomic_path(out) as temporary:
         count = _write(config, film, images, temporary)
@@ -245,18 +243,30 @@ def make_film(config: Config, film: Film, out: str | Path, progress=iter) -> int
     return count
 
 
+def motion(film: Film, settings: SimulationSettings) -> Trajectory:
+    """What is filmed: the stage's start at the full rate, then the frames of the settings.
+
+    Simulated once for each: at the full rate to the end, no step could be long.
+    """
+    run = DropAndDrag(film.pair.material, film.friction, film.seed)
+    of_start = {"frame_rate_hz": FRAME_RATE_HZ, "frames": int(_START_S * FRAME_RATE_HZ) + 1}
+    start, _ = simulate_drop_and_drag(run, settings.model_copy(update=of_start))
+    whole, _ = simulate_drop_and_drag(run, settings)
+    later = whole.time_s > start.time_s[-1] + 0.5 / FRAME_RATE_HZ
+    names = ("time_s", "stage_x_m", "stage_z_m", "positions_m")
+    joined = {
+        name: np.concatenate([getattr(start, name), getattr(whole, name)[later]]) for name in names
+    }
+    return replace(whole, frame=np.arange(len(joined["time_s"])), **joined)
+
+
 def _lens_images(
     config: Config, film: Film, trajectory: Trajectory, progress
 ) -> Iterator[tuple[float, np.ndarray]]:
     """Time and linear light (rows, columns, 3) of the recorded frames, as projected by the lens."""
     lens = true_camera(config)
     pinhole, place = _pinhole(lens)
-    dense = trajectory.time_s <= _START_S
-    later = (np.arange(len(trajectory.frame)) % config.captures.later_every == 0) | dense
-    shots = [
-        Shot(int(row), int(trajectory.frame[row]), float(trajectory.time_s[row]), pinhole)
-        for row in np.flatnonzero(later)
-    ]
+    shots = [Shot(row, row, float(time_s), pinhole) for row, time_s in enumerate(trajectory.time_s)]
     render = config.render.model_copy(update={"pixels": pinhole.pixels})
     frames = render_shadings(trajectory, progress(shots), render, surroundings(config, film.pair))
     for shot, shading, sight in frames:

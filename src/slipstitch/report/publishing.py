@@ -17,6 +17,7 @@ from slipstitch.base.provenance import file_digest, read_json, read_parquet, rea
 from slipstitch.base.provenance.files import SIDECAR_SUFFIX
 from slipstitch.base.provenance.record import write_json
 from slipstitch.config import Config, load_config
+from slipstitch.config.dataset import CaptureSettings
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.dataset.audit.published import FURTHER, INDEX, WEIGHTS
 from slipstitch.dataset.manifest import MANIFEST, read_manifest
@@ -177,9 +178,9 @@ def _files(out: Path, below: str = "") -> list[str]:
 
 
 def _of_run(config: Config) -> Config:
-    """The configuration but for what calibrates an average besides, which alters nothing else."""
+    """The configuration but for calibration datasets and captures, which alter nothing else."""
     instrument = config.instrument.model_copy(update={"calibration_datasets": []})
-    return config.model_copy(update={"instrument": instrument})
+    return config.model_copy(update={"instrument": instrument, "captures": CaptureSettings()})
 
 
 def _keep(config: Config, before: Path, folder: Path, there: Iterable[str]) -> None:
