@@ -181,6 +181,7 @@ rule captures_evaluate:
     params:
         *settings("evaluate"),
         code=code_of("evaluate.captures"),
+        shipped=Path(SHIPPED, "SHA256SUMS").read_text(),
         config=CONFIG_FILE,
     message:
         "Evaluate networks and instruments on the captures"

@@ -166,6 +166,19 @@ def test_models_of_different_datasets_do_not_stand_beside_one_another(bench, tmp
     assert not out.exists()
 
 
+def test_the_shipped_instrument_is_scored_once_though_it_is_of_another_dataset(bench, tmp_path):
+    other = untrained_instrument()
+    other.card.update(split="by_simulation", dataset_digest="00" * 32)
+    save_instrument(other, tmp_path)
+    trained = Trained(bench / "train", shipped=tmp_path)
+    out, predictions = tmp_path / "metrics.json", tmp_path / "p.parquet"
+    write_captures_evaluation(ingested(bench, "surrogates"), trained, out, predictions)
+    metrics = json.loads(out.read_text())["surrogate_all"]
+    shipped = [name for name in metrics if name.startswith("instrument")]
+    assert shipped == ["instrument_shipped, trained by_simulation"]
+    assert metrics[shipped[0]]["n"] == 4
+
+
 def test_surrogates_are_named_so_and_real_ones_so(bench):
     page = (evaluation_of(bench, "real") / "page.html").read_text()
     assert ' class="first">Real captures: videos of a bench' in page

@@ -1,6 +1,5 @@
 """Networks and instruments: train, evaluate, ablate."""
 
-from dataclasses import replace
 from typing import Any
 
 import click
@@ -170,14 +169,17 @@ def evaluate(arguments: options.Arguments) -> None:
     if not (arguments.models or arguments.instruments):
         raise BadInput("--models, --instruments or both are required")
     trained = Trained(
-        arguments.models, arguments.instruments, config.train, config.instrument.seeds
+        arguments.models,
+        arguments.instruments,
+        config.train,
+        config.instrument.seeds,
+        shipped_for(config),
     )
     if arguments.captures:
         _captures(arguments, trained)
         return
     if arguments.page:
         raise BadInput("--page requires --captures")
-    trained = replace(trained, shipped=shipped_for(config))
     details = arguments.details or arguments.out.with_name("details.json")
     metrics = write_evaluation(
         arguments.dataset,

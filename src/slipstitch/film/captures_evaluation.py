@@ -39,6 +39,7 @@ from slipstitch.learning.evaluation.paper import draw_cumulative
 from slipstitch.learning.evaluation.scores import (
     CALIBRATED,
     MATERIAL,
+    SHIPPED,
     entries_of,
     grouped,
     predicts_material_alone,
@@ -58,11 +59,16 @@ def predict_captures(dataset: str | Path, trained: Trained) -> list[dict[str, An
     Of what `slipstitch capture ingest` wrote. BadInput if there is no model, two were trained
     on different datasets, or files are damaged or of another shape.
     """
-    models = trained.load()
-    # Captures are of no training, so nothing else tells that these are of one dataset.
+    # The shipped instrument is one, whatever the splits.
+    models = {
+        (model.card["split"] if network == SHIPPED else split, network, seed): model
+        for (split, network, seed), model in trained.load().items()
+    }
+    # Captures are of no training, so nothing else tells that the others are of one dataset.
     of_dataset = {
         model.card.get("dataset_digest"): f"{network} {split} seed {seed}"
         for (split, network, seed), model in models.items()
+        if network != SHIPPED
     }
     if len(of_dataset) > 1:
         one, other, *_ = of_dataset.values()
