@@ -421,19 +421,21 @@ def known_answers():
 
 def convergence():
     """Return distances from finer stepping and a finer mesh, worst coefficient of each fabric."""
-    rows = []
-    for kind, words in (("time_step", "finer stepping"), ("mesh", "81 × 81 vertices")):
-        by_fabric = {}
-        for case in read("convergence/convergence.json")["summary"]:
-            if (found := case[kind]) is not None:
-                by_fabric.setdefault(case["material"], []).append(found)
-        for fabric, found in by_fabric.items():
-            cells = [
-                f"{1e3 * max(one[size] for one in found):.1f}"
-                for size in ("mean_m", "steady_largest_m", "mean_largest_m")
-            ]
-            rows.append([fabric, words, *cells])
-    return table("fabric|compared with|mean, mm|steadily dragged, mm|worst moment, mm", rows)
+    kinds = {"time_step": "finer stepping", "mesh": "81 × 81 vertices"}
+    sizes = {"mean_m": "mean", "steady_largest_m": "steady", "mean_largest_m": "worst"}
+    by_fabric = {}
+    for case in read("convergence/convergence.json")["summary"]:
+        by_fabric.setdefault(case["material"], []).append(case)
+
+    def largest_mm(cases, kind, size):
+        return f"{1e3 * max(one[kind][size] for one in cases if one[kind]):.1f}"
+
+    rows = [
+        [fabric, *(largest_mm(cases, kind, size) for kind in kinds for size in sizes)]
+        for fabric, cases in by_fabric.items()
+    ]
+    head = "|".join(f"{words}: {size}" for words in kinds.values() for size in sizes.values())
+    return table(f"fabric|{head}", rows)
 
 
 def simulation_cost():
@@ -526,7 +528,11 @@ SECTIONS = {
         "With the settings of the grid, before the grid.",
         known_answers,
     ),
-    "Convergence": ("Distance of the vertices, largest over three coefficients.", convergence),
+    "Convergence": (
+        "Distance of the vertices in mm, largest over three coefficients: mean, while dragged "
+        "steadily, at the worst moment.",
+        convergence,
+    ),
     "What a simulation costs": ("The whole protocol, 41 × 41 vertices, one core.", simulation_cost),
     "Criticism of measured data": ("", measured_cases),
     "Criticism of simulated campaigns": (
