@@ -9,8 +9,9 @@ from support.refusal import refused, run
 
 from slipstitch.base.provenance import file_digest, read_metadata, write_json
 from slipstitch.dataset.audit.published import audit_published
+from slipstitch.dataset.manifest import read_manifest, write_manifest
 from slipstitch.film.measure import SHIPPED
-from slipstitch.report.publishing import INDEX
+from slipstitch.report.publishing import INDEX, SCORES
 
 PUBLISHED = Path(__file__).parents[2] / "results/published/instrument"
 MODELS = "models/by_simulation/instrument"
@@ -100,6 +101,17 @@ def test_a_score_that_its_predictions_do_not_give_is_found(folder, capsys):
     assert (found.kind.value, found.where) == ("broken chain", "metrics.json")
     given = f"its predictions give {rows[model]['mean_absolute_error']}"
     assert found.what == f"{split} {model} mean_absolute_error is 0.001, {given}"
+
+
+def test_models_hold_where_the_same_images_were_filmed_again(folder):
+    """Networks, and what calibrates their average; the scores are to be updated."""
+    rows, _ = read_manifest(folder / "dataset")
+    write_manifest(rows, folder / "dataset", {"stage": "sample", "wall_s": 1.0})
+    digests = content(folder, DIGESTS)
+    files = dict.fromkeys(digests["files"], "0" * 64)
+    write_json(folder / DIGESTS, digests | {"files": files}, {"stage": "publish"})
+    found = audit_published(listed(folder)).findings
+    assert sorted(one.where for one in found) == sorted(SCORES)
 
 
 def test_without_its_lineage_the_chain_ends_at_the_images(folder, capsys):

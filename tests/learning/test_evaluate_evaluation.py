@@ -25,7 +25,7 @@ from slipstitch.dataset.videos import read_videos
 from slipstitch.design.grid import friction_id
 from slipstitch.film.measure import SHIPPED
 from slipstitch.film.measure.measuring_bench import shipped_for
-from slipstitch.learning.evaluation.evaluation import write_evaluation
+from slipstitch.learning.evaluation.evaluation import Table, write_evaluation
 from slipstitch.learning.evaluation.metrics import FIELDS
 from slipstitch.learning.evaluation.scores import network_of, recomputed
 from slipstitch.learning.evaluation.test_sets import PREFIX, wrong_inputs
@@ -395,17 +395,17 @@ def test_instruments_alone_are_evaluated_by_camera_fabric_and_coefficient(tmp_pa
     assert file_digest(ensemble / "instrument.safetensors") in inputs.values()
 
 
-def test_scores_of_networks_whose_weights_are_on_another_machine_stay(chain, tmp_path):
+def test_scores_of_models_whose_weights_are_on_another_machine_stay(chain, tmp_path):
     """As when splits are trained on two machines, each of which films the simulations itself."""
-    shutil.copytree(chain / "train" / KEPT, tmp_path / "one" / "train" / KEPT)
-    for split in set(TRAINED_ON) - {KEPT}:
-        shutil.copytree(chain / "train" / split, tmp_path / "other" / "train" / split)
+    for folder in (*chain.glob("train/*"), *chain.glob("instrument/*")):
+        machine = tmp_path / ("one" if folder.name == KEPT else "other")
+        shutil.copytree(folder, machine / folder.relative_to(chain))
     for machine in ("one", "other"):
         shutil.copytree(chain / "sample", tmp_path / machine / "sample")
     other = tmp_path / "other" / "sample"
     write_manifest(read_manifest(other)[0], other, {"wall_s": 1})
     whole, pieces = tmp_path / "whole", tmp_path / "pieces"
-    trained = Trained("train", train=CONFIG.train)
+    trained = Trained("train", "instrument", CONFIG.train, CONFIG.instrument.seeds)
     for machine, out in ((chain, whole), (tmp_path / "one", pieces)):
         with contextlib.chdir(machine):
             evaluate(Path(), trained, out)
@@ -414,7 +414,8 @@ def test_scores_of_networks_whose_weights_are_on_another_machine_stay(chain, tmp
         evaluate(Path(), trained, pieces, update=True)
         # A seed that the configuration has no longer does not count.
         train = CONFIG.train.model_copy(update={"seeds": [5]})
-        assert trained.elsewhere(first) and not replace(trained, train=train).elsewhere(first)
+        wanted = replace(trained, train=train, instrument_seeds=[5])
+        assert trained.elsewhere(first) and not wanted.elsewhere(first)
 
     def in_order(folder):
         return sorted(map(json.dumps, predictions(folder / "predictions.parquet")))
@@ -425,6 +426,18 @@ def test_scores_of_networks_whose_weights_are_on_another_machine_stay(chain, tmp
         assert scored == {key: expected[key] for key in scored} and len(scored) > 1
     weights = {path for path in first if path.endswith(".safetensors")}
     assert weights <= set(read_provenance(pieces / "metrics.json")["inputs"])
+
+
+def test_of_what_was_scored_before_the_alarms_of_the_rows_that_stay_are_kept():
+    def table(**alarms):
+        of_split = {"split": KEPT, "trained_on": KEPT, "network": "instrument"}
+        rows = [of_split | {"seed": int(name[1:])} for name in alarms]
+        rates = {name[1:]: {"good": rate} for name, rate in alarms.items()}
+        return Table(rows, {KEPT: {"instrument": {}}}, {KEPT: {"instrument": rates}})
+
+    now = table(_0=0.1)
+    now.add(table(_0=0.2, _1=0.3, _2=0.4), lambda row: row["seed"] == 1)
+    assert now == table(_0=0.1, _1=0.3)
 
 
 def test_scores_of_another_dataset_are_not_updated(chain, evaluated, tmp_path, capsys):

@@ -222,7 +222,8 @@ class PublishedAudit:
         same ones were filmed again, into other files.
         """
         inputs = _mapping(self.records[name].get("inputs"))
-        card = self.json(name.replace(WEIGHTS, ".json")) if name.endswith(WEIGHTS) else {}
+        folder = name.rpartition("/")[0]
+        card = self.json(f"{folder}/model.json") or self.json(f"{folder}/instrument.json")
         same = card.get("dataset_digest", "") == self.json(_DIGESTS).get("digest")
         again = same and self.datasets.get(_DATASET) not in inputs.values()
         for path, digest in inputs.items() if not name.startswith(FURTHER) else ():

@@ -59,14 +59,20 @@ class Table:
         """Add of another table the rows asked for, and what it notes of their networks."""
         rows = [row for row in other.rows if also(row)]
         self.rows += rows
-        noted = {(row["trained_on"], row["network"]) for row in rows}
-        alarmed = {(row["split"], row["network"]) for row in rows}
-        pairs = (self.models, other.models, noted), (self.alarms, other.alarms, alarmed)
-        for mine, others, named in pairs:
-            for name, networks in others.items():
-                for network, one in networks.items():
-                    if (name, network) in named:
-                        mine.setdefault(name, {}).setdefault(network, one)
+        for split, network in dict.fromkeys((row["trained_on"], row["network"]) for row in rows):
+            noted = other.models.get(split, {})
+            if network in noted:
+                self.models.setdefault(split, {}).setdefault(network, noted[network])
+        of_tests = ((row["split"], row["network"], _name_of(row["seed"])) for row in rows)
+        for test, network, name in dict.fromkeys(of_tests):
+            rates = other.alarms.get(test, {}).get(network, {})
+            if name in rates:
+                self.alarms.setdefault(test, {}).setdefault(network, {})[name] = rates[name]
+
+
+def _name_of(seed: int | None) -> str:
+    """What details call a training by: its seed, or the average."""
+    return ENSEMBLE if seed is None else str(seed)
 
 
 def prediction_row(
@@ -138,8 +144,7 @@ def predicted_table(dataset: str | Path, models: Mapping[Key, LrcnModel | Instru
             ]
             if network in (TRAINING, AVERAGE) and test.name in TRAINED_ON:
                 of_network = table.alarms.setdefault(test.name, {}).setdefault(network, {})
-                name = ENSEMBLE if seed is None else str(seed)
-                of_network[name] = alarm_rates(model, whole)
+                of_network[_name_of(seed)] = alarm_rates(model, whole)
     return table
 
 
@@ -178,7 +183,7 @@ def write_evaluation(
 ) -> dict[str, Any]:
     """Write scores, predictions and details, as `out` names these files; return the scores.
 
-    With `update`, what these files say of models that are unchanged stays, as of networks whose
+    With `update`, what these files say of models that are unchanged stays, as of those whose
     weights are on another machine and of the dataset's probes, and only kinds of models of which
     one is new or changed predict; of averages that differ in their conformal scale alone no image
     is needed. BadInput if a model is missing its partner or was trained on other data, files are

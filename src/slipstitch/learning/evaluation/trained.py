@@ -78,22 +78,32 @@ class Trained:
         return found
 
     def elsewhere(self, scored: Mapping[str, str]) -> dict[Key, dict[str, str]]:
-        """Return the networks that were scored, that count, and whose weights are not here.
+        """Return the models that were scored, that count, and whose weights are not here.
 
         As when the others were trained on another machine: by split, network and seed, path ->
         SHA-256 as in `scored`.
         """
         found: dict[Key, dict[str, str]] = {}
         for path, digest in scored.items():
-            folder = Path(path).parent
-            place = folder.parent if folder.name == ALL_VIEWS else folder
-            split, network, seed = ("", "", "", *place.parts)[-3:]
-            here = Path(self.networks or "", split, network, seed, WEIGHTS).is_file()
-            if split in self.splits and network in NETWORKS and not here:
-                key = split, network, int(seed.removeprefix("seed"))
-                if self.train is None or key[1:] in trainings(self.train, split):
-                    found.setdefault(key, {})[path] = digest
+            key = _key_of(Path(path))
+            if key is not None and self._counts(*key) and not self._weights(*key).is_file():
+                found.setdefault(key, {})[path] = digest
         return found
+
+    def _counts(self, split: str, network: str, seed: int | None) -> bool:
+        if network in NETWORKS:
+            known = self.train is None or (network, seed) in trainings(self.train, split)
+        else:
+            seeds = self.instrument_seeds
+            known = seeds is None or (len(seeds) > 1 if seed is None else seed in seeds)
+        return known and split in self.splits
+
+    def _weights(self, split: str, network: str, seed: int | None) -> Path:
+        """Where the weights of a model are, if they are here."""
+        if network in NETWORKS:
+            return Path(self.networks or "", split, network, f"seed{seed}", WEIGHTS)
+        name = ENSEMBLE if seed is None else f"seed{seed}"
+        return Path(self.instruments or "", split, name, INSTRUMENT_WEIGHTS)
 
     def load(self, without: frozenset[str] = frozenset()) -> dict[Key, LrcnModel | Instrument]:
         """Return the models but those of some kinds; BadInput if one is not what its place says."""
@@ -117,6 +127,19 @@ class Trained:
 def place_of(row: Mapping[str, Any]) -> Key:
     """Return split, network and seed that a prediction is of, fine-tuned or not."""
     return row["trained_on"], row["network"].removesuffix(CALIBRATED), row["seed"]
+
+
+def _key_of(path: Path) -> Key | None:
+    """The model that a file is of, by its place; None of a file that is of none."""
+    folder = path.parent.parent if path.parent.name == ALL_VIEWS else path.parent
+    split, network, name = ("", "", "", *folder.parts)[-3:]
+    if path.name == INSTRUMENT_WEIGHTS:
+        split, network = network, AVERAGE if name == ENSEMBLE else TRAINING
+    elif network not in NETWORKS:
+        return None
+    if split not in TRAINED_ON:  # the shipped one, which is everywhere
+        return None
+    return split, network, None if name == ENSEMBLE else int(name.removeprefix("seed"))
 
 
 def _networks(paths: list[Path]) -> dict[Key, LrcnModel]:
