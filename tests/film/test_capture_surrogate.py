@@ -10,14 +10,16 @@ from slipstitch.config import resolve_config, write_config
 from slipstitch.dataset.videos import read_videos
 from slipstitch.design.stage_path import StagePath
 from slipstitch.film.captures_table import read_captures
+from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.ingest_videos import read_known
 from slipstitch.film.slip_angles import estimate, read_angles
+from slipstitch.film.stage_clock import StageFollower
 from slipstitch.film.surrogates import (
     FRAME_RATE_HZ,
     calibrated_camera,
     film_size,
+    filmed,
     films,
-    motion,
     surrogate_simulation,
     true_camera,
     write_bench,
@@ -26,6 +28,7 @@ from slipstitch.images.calibrated_view import cloth_room
 from slipstitch.images.camera_file import read_camera_file
 
 CONFIG = resolve_config({"simulation": {"frames": 92}})
+SETTINGS = CONFIG.simulation, CONFIG.render, CONFIG.sample
 
 
 def test_friction_lies_off_the_grid_and_differs_from_film_to_film():
@@ -46,7 +49,6 @@ def test_films_are_simulated_more_finely_over_the_same_time():
     assert own.yaw_sd_deg > training.yaw_sd_deg
     end_s = (training.frames - 1) / training.frame_rate_hz
     assert (own.frames - 1) / own.frame_rate_hz >= end_s
-    assert own.frame_rate_hz == FRAME_RATE_HZ / CONFIG.captures.later_every
     # As in config/paper.yaml: repeats differ though the training perturbs nothing.
     still = {"yaw_sd_deg": 0.0, "height_sd_m": 0.0, "fabric_sd_rel": 0.0, "curl_side": "same"}
     simulation = training.model_copy(update=still)
@@ -105,21 +107,17 @@ def test_impossible_pairs_and_unknown_films_are_refused(tmp_path, capsys):
     assert "unknown surrogate capture 'c09_r01'" in refused(capsys, command)
 
 
-def test_a_film_starts_at_the_full_rate_and_goes_on_at_that_of_later_frames():
-    simulation = {"frames": 15, "frame_rate_hz": 2.4, "self_contact": False}
-    captures = {"vertices_per_side": 5, "time_step_s": 0.084, "later_every": 12, "repeats": 1}
-    settings = {"simulation": simulation, "sample": {"frames": 3}, "captures": captures}
-    config = resolve_config(settings)
-    seen = motion(films(config)[0], surrogate_simulation(config))
-    path = StagePath(**dict(config.simulation.stage))
-    assert np.allclose(seen.time_s, [*np.arange(37) / 12, 4, 5, 6, 7])
-    stage_m = np.stack([seen.stage_x_m, seen.stage_z_m])
-    off_m = stage_m - path.position_m(seen.time_s)
-    assert np.allclose(off_m, off_m[:, :1], atol=1e-6)  # this bench's clamps hang lower
-    # Both simulations are of one cloth: the clamps that hold it do not jump between them.
-    held_m = seen.positions_m[:, seen.pinned] - stage_m.T[:, None, [0, 0, 1]] * [1, 0, 1]
-    assert np.abs(held_m - held_m[0]).max() < 1e-4
-    assert (seen.frame == np.arange(len(seen.time_s))).all()
+def test_a_film_shows_all_that_its_clock_is_read_from_however_few_its_later_frames():
+    path = StagePath()
+    time_s = np.arange(1400) / FRAME_RATE_HZ
+    seen_s = time_s[filmed(time_s, path, 25)]
+    assert (seen_s <= 3).sum() == 37
+    later_s = seen_s[seen_s > 8]
+    assert np.allclose(np.diff(later_s), 25 / FRAME_RATE_HZ)
+    follower = StageFollower(true_camera(CONFIG), Schedule.of(*SETTINGS))
+    chosen = follower.choose(seen_s, np.ones(len(seen_s), bool))
+    # Three frames at rest, then nearly all of the drag's.
+    assert len(chosen) >= 3 + 0.9 * len(later_s[later_s < path.duration_s])
 
 
 @pytest.mark.slow

@@ -127,9 +127,9 @@ class CaptureSettings(Section):
     repeats: int = Field(5, ge=1, le=99)
     """surrogates: videos of each pair"""
     vertices_per_side: int = Field(51, ge=5, le=401)
-    """surrogates: vertices per side of the mesh; finer than in training"""
+    """surrogates: vertices per side of the mesh"""
     time_step_s: float = Field(0.042, gt=0, le=0.1)
-    """surrogates: largest time step; shorter than in training"""
+    """surrogates: largest time step"""
     width_px: int = Field(256, ge=64, le=1920)
     """surrogates: width of the video; its height is three quarters"""
     later_every: int = Field(4, ge=1, le=25)

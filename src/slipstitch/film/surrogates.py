@@ -28,6 +28,8 @@ from slipstitch.config.catalogue import FLOORS
 from slipstitch.config.dataset import CaptureSettings, PairSettings
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.design.grid import simulation_seed
+from slipstitch.design.stage_path import StagePath
+from slipstitch.film.edge_height import REST_S
 from slipstitch.images.calibrated_view import viewpoint_pose
 from slipstitch.images.camera import Camera, turned
 from slipstitch.images.camera_file import camera_record, write_camera_file
@@ -99,15 +101,14 @@ def find_film(config: Config, name: str) -> Film:
 def surrogate_simulation(config: Config) -> SimulationSettings:
     """Settings of the simulations: as for the training data, except for the distribution shift."""
     settings, training = config.captures, config.simulation
-    rate_hz = FRAME_RATE_HZ / settings.later_every
     # Not in units of the training's own variation: that of the paper's experiment is none.
     factor, usual = BENCH_VARIATION, SimulationSettings()
     return training.model_copy(
         update={
             "vertices_per_side": settings.vertices_per_side,
             "time_step_s": settings.time_step_s,
-            "frame_rate_hz": rate_hz,
-            "frames": int(np.ceil(training.recorded_s * rate_hz)) + 2,
+            "frame_rate_hz": FRAME_RATE_HZ,
+            "frames": int(np.ceil(training.recorded_s * FRAME_RATE_HZ)) + 2,
             "yaw_sd_deg": factor * usual.yaw_sd_deg,
             "height_sd_m": min(factor * usual.height_sd_m, 0.005),
             "fabric_sd_rel": min(factor * usual.fabric_sd_rel, 0.3),
@@ -228,7 +229,9 @@ def make_film(config: Config, film: Film, out: str | Path, progress=iter) -> int
     """Simulate and render one capture as an MP4 file; return its number of frames."""
     started = start_clock()
     settings = surrogate_simulation(config)
-    trajectory = motion(film, settings)
+    trajectory, _ = simulate_drop_and_drag(
+        DropAndDrag(film.pair.material, film.friction, film.seed), settings
+    )
     images = _lens_images(config, film, trajectory, progress)
     with atomic_path(out) as temporary:
         count = _write(config, film, images, temporary)
@@ -243,21 +246,14 @@ def make_film(config: Config, film: Film, out: str | Path, progress=iter) -> int
     return count
 
 
-def motion(film: Film, settings: SimulationSettings) -> Trajectory:
-    """What is filmed: the stage's start at the full rate, then the frames of the settings.
+def filmed(time_s: np.ndarray, path: StagePath, later_every: int) -> np.ndarray:
+    """Which of a simulation's frames are filmed: all where a film's clock is read, else a few.
 
-    Simulated once for each: at the full rate to the end, no step could be long.
+    That is while the stage starts, and where it rests between drop and drag.
     """
-    run = DropAndDrag(film.pair.material, film.friction, film.seed)
-    of_start = {"frame_rate_hz": FRAME_RATE_HZ, "frames": int(_START_S * FRAME_RATE_HZ) + 1}
-    start, _ = simulate_drop_and_drag(run, settings.model_copy(update=of_start))
-    whole, _ = simulate_drop_and_drag(run, settings)
-    later = whole.time_s > start.time_s[-1] + 0.5 / FRAME_RATE_HZ
-    names = ("time_s", "stage_x_m", "stage_z_m", "positions_m")
-    joined = {
-        name: np.concatenate([getattr(start, name), getattr(whole, name)[later]]) for name in names
-    }
-    return replace(whole, frame=np.arange(len(joined["time_s"])), **joined)
+    rest = np.abs(time_s - path.drop_duration_s) <= REST_S
+    few = np.arange(len(time_s)) % later_every == 0
+    return np.flatnonzero((time_s <= _START_S) | rest | few)
 
 
 def _lens_images(
@@ -266,7 +262,11 @@ def _lens_images(
     """Time and linear light (rows, columns, 3) of the recorded frames, as projected by the lens."""
     lens = true_camera(config)
     pinhole, place = _pinhole(lens)
-    shots = [Shot(row, row, float(time_s), pinhole) for row, time_s in enumerate(trajectory.time_s)]
+    path = StagePath(**dict(config.simulation.stage))
+    shots = [
+        Shot(int(row), int(trajectory.frame[row]), float(trajectory.time_s[row]), pinhole)
+        for row in filmed(trajectory.time_s, path, config.captures.later_every)
+    ]
     render = config.render.model_copy(update={"pixels": pinhole.pixels})
     frames = render_shadings(trajectory, progress(shots), render, surroundings(config, film.pair))
     for shot, shading, sight in frames:
