@@ -172,11 +172,17 @@ def test_the_shipped_instrument_is_scored_once_though_it_is_of_another_dataset(b
     save_instrument(other, tmp_path)
     trained = Trained(bench / "train", shipped=tmp_path)
     out, predictions = tmp_path / "metrics.json", tmp_path / "p.parquet"
-    write_captures_evaluation(ingested(bench, "surrogates"), trained, out, predictions)
+    page = tmp_path / "page.html"
+    write_captures_evaluation(ingested(bench, "surrogates"), trained, out, predictions, page)
+    assert "<h3>instrument shipped, trained by simulation</h3>" in page.read_text()
     metrics = json.loads(out.read_text())["surrogate_all"]
     shipped = [name for name in metrics if name.startswith("instrument")]
     assert shipped == ["instrument_shipped, trained by_simulation"]
     assert metrics[shipped[0]]["n"] == 4
+    # A wrong folder of others is none the less refused.
+    with pytest.raises(BadInput, match="nowhere: no trained model for captures found"):
+        trained = Trained(instruments="nowhere", shipped=tmp_path)
+        write_captures_evaluation(ingested(bench, "surrogates"), trained, out, predictions)
 
 
 def test_surrogates_are_named_so_and_real_ones_so(bench):

@@ -416,6 +416,9 @@ def test_scores_of_models_whose_weights_are_on_another_machine_stay(chain, tmp_p
         train = CONFIG.train.model_copy(update={"seeds": [5]})
         wanted = replace(trained, train=train, instrument_seeds=[5])
         assert trained.elsewhere(first) and not wanted.elsewhere(first)
+        again = shutil.copytree(pieces, tmp_path / "again")
+        evaluate(Path(), replace(trained, instrument_seeds=[5]), again, update=True)
+        assert "instrument" not in content(again / "metrics.json")[KEPT]
 
     def in_order(folder):
         return sorted(map(json.dumps, predictions(folder / "predictions.parquet")))

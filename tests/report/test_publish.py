@@ -379,6 +379,29 @@ def test_a_dataset_that_also_calibrates_is_published_beside_the_run_s_own(run, t
     assert (place / "manifest.parquet").is_file()
 
 
+@pytest.mark.parametrize("filmed", ["before", "again", "as before"])
+def test_scores_of_captures_stand_beside_the_settings_that_these_were_filmed_with(
+    run, tmp_path, filmed
+):
+    """Not beside others, with which nothing was filmed yet; all else may be updated."""
+    results, out = tmp_path / run.name, tmp_path / "out"
+    shutil.copytree(run, results)
+    scores = results / "captures" / "metrics.json"
+    write_json(scores, {"before": {}}, {"stage": "evaluate"})
+    publish(CONFIG, results, out)
+    if filmed == "again":
+        write_json(scores, {"again": {}}, {"stage": "evaluate"})
+    else:
+        shutil.rmtree(scores.parent)
+    other = CONFIG.captures.model_copy(update={"repeats": CONFIG.captures.repeats + 1})
+    update = {} if filmed == "as before" else {"captures": other}
+    publish(CONFIG.model_copy(update=update), results, out, update=True)
+    kept = {"before": [], "again": ["again"], "as before": ["before"]}[filmed]
+    assert [*content(out, INDEX)["files"]].count("captures/metrics.json") == len(kept)
+    assert not kept or [*content(out, "captures/metrics.json")] == kept
+    assert (load_config(out / "config.json").captures == other) == (filmed != "as before")
+
+
 def test_an_update_of_another_run_is_refused(run, results, tmp_path):
     out = tmp_path / "out"
     with pytest.raises(BadInput, match="nothing published there to update"):

@@ -106,7 +106,7 @@ def predict_captures(dataset: str | Path, trained: Trained) -> list[dict[str, An
                     "alarm": None if prediction.alarm is None else prediction.alarm_reason,
                 }
             )
-    if not rows:
+    if all(row["model"] == SHIPPED for row in rows):
         folder = trained.networks or trained.instruments
         raise BadInput(f"{folder}: no trained model for captures found")
     return rows
@@ -158,23 +158,34 @@ def captures_page(
         seeds_in_words=seeds_in_words,
         plot=svg_uri(_cumulative(found)),
         models=[
-            (f"{label(rows[0])}, seed {seed}".replace("_", " "), pair_medians(rows))
+            (_title(rows[0]), pair_medians(rows))
             for of_model in grouped(found, "model", "trained_on").values()
-            for seed, rows in islice(grouped(of_model, "seed").items(), 1)
+            for rows in islice(grouped(of_model, "seed").values(), 1)
         ],
         strips=[(rows[0], _strip(dataset, rows[0])) for rows in grouped(known, "pair").values()],
     )
 
 
+def _title(row: Mapping[str, Any]) -> str:
+    seed = "" if row["seed"] is None else f", seed {row['seed']}"
+    return f"{label(row)}{seed}".replace("_", " ")
+
+
 @styled
 def _cumulative(found: Sequence[Mapping[str, Any]]) -> Figure:
-    """Share of the pairs whose median's error is at most so large, as in the paper's Fig. 6."""
+    """Share of the pairs whose median's error is at most so large, as in the paper's Fig. 6.
+
+    Of networks that were fine-tuned on the view that captures show, these alone.
+    """
     figure = new_figure(7.6, 3.6)
     axes = figure.subplots()
     off: dict[str, dict[str, np.ndarray]] = {}
     for name, chosen in subsets(found).items():
         part = [row for row, one in zip(found, chosen, strict=True) if one]
-        for of_training in grouped(part, "model", "trained_on").values():
+        of_trainings = grouped(part, "model", "trained_on")
+        for (model, split), of_training in of_trainings.items():
+            if (model + CALIBRATED, split) in of_trainings:
+                continue
             of_pairs = [
                 pair["error"]
                 for of_seed in grouped(of_training, "seed").values()

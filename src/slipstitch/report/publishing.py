@@ -17,7 +17,6 @@ from slipstitch.base.provenance import file_digest, read_json, read_parquet, rea
 from slipstitch.base.provenance.files import SIDECAR_SUFFIX
 from slipstitch.base.provenance.record import write_json
 from slipstitch.config import Config, load_config
-from slipstitch.config.dataset import CaptureSettings
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.dataset.audit.published import FURTHER, INDEX, WEIGHTS
 from slipstitch.dataset.manifest import MANIFEST, read_manifest
@@ -118,7 +117,7 @@ def publish(
             if path.name == MANIFEST:
                 _describe_dataset(path.parent, (folder / to).parent)
         if update:
-            _keep(config, out, folder, there)
+            _keep(config, out, folder, there, kept)
             record["inputs"] = read_provenance(out / INDEX)["inputs"] | record["inputs"]
         index = {
             "name": config.publish.name,
@@ -153,7 +152,8 @@ def _kept(config: Config, results: Results, out: Path) -> dict[str, str]:
     """SHA-256 of what a folder published before keeps; of other weights as their card names it."""
     if not (out / INDEX).is_file():
         raise BadInput(f"{out}: nothing published there to update: publish without --update")
-    if _of_run(load_config(out / "config.json")) != _of_run(config):
+    published = load_config(out / "config.json")
+    if _of_run(published) != _of_run(config):
         raise BadInput(f"{out}: published with another configuration; publish without --update")
     manifest = results.folder / "sample" / MANIFEST
     before = out / "dataset" / MANIFEST
@@ -161,8 +161,12 @@ def _kept(config: Config, results: Results, out: Path) -> dict[str, str]:
     digests = {read_manifest(one.parent)[1] for one in (manifest, before) if one.is_file()}
     if len(digests) > 1:
         raise BadInput(f"{out}: published of another dataset; publish without --update")
+    # Scores of other captures are none of this configuration's.
+    optional = [
+        to for to in OPTIONAL if published.captures == config.captures or "captures" not in to
+    ]
     kept = {}
-    for to in (*finished_files(config).values(), *OPTIONAL, *_OWN, *_files(out, FURTHER)):
+    for to in (*finished_files(config).values(), *optional, *_OWN, *_files(out, FURTHER)):
         card = (out / to).with_suffix(".json")
         if (out / to).is_file():
             kept[to] = file_digest(out / to)
@@ -177,19 +181,19 @@ def _files(out: Path, below: str = "") -> list[str]:
     return [path.relative_to(out).as_posix() for path in there if not path.is_dir()]
 
 
-def _of_run(config: Config) -> Config:
+def _of_run(config: Config) -> dict[str, Any]:
     """The configuration but for calibration datasets and captures, which alter nothing else."""
-    instrument = config.instrument.model_copy(update={"calibration_datasets": []})
-    return config.model_copy(update={"instrument": instrument, "captures": CaptureSettings()})
+    return config.model_dump(exclude={"captures": True, "instrument": {"calibration_datasets"}})
 
 
-def _keep(config: Config, before: Path, folder: Path, there: Iterable[str]) -> None:
+def _keep(
+    config: Config, before: Path, folder: Path, there: Iterable[str], kept: Iterable[str]
+) -> None:
     """Put into a new folder what the one before has of results that are gone."""
     known = {to: name for name, to in finished_files(config).items()}
     anew = {known.get(name) for name in there}
-    for to in (*known, *OPTIONAL, *_files(before, FURTHER)):
-        is_there = to in there or (folder / to).exists()
-        if not is_there and (before / to).parent.is_dir():
+    for to in kept:
+        if to not in (*there, *_OWN) and not (folder / to).exists():
             _copy(before / to, folder / to, is_published(config, to))
     same = load_config(before / "config.json") == config
     manifests = [one / "dataset" / MANIFEST for one in (before, folder)]

@@ -31,6 +31,7 @@ from slipstitch.learning.evaluation.scores import (
     TRAINING,
     details_of_table,
     metrics_of_table,
+    name_of,
     place_in_tables,
     predicts_material_alone,
     read_table,
@@ -63,16 +64,11 @@ class Table:
             noted = other.models.get(split, {})
             if network in noted:
                 self.models.setdefault(split, {}).setdefault(network, noted[network])
-        of_tests = ((row["split"], row["network"], _name_of(row["seed"])) for row in rows)
+        of_tests = ((row["split"], row["network"], name_of(row["seed"])) for row in rows)
         for test, network, name in dict.fromkeys(of_tests):
             rates = other.alarms.get(test, {}).get(network, {})
             if name in rates:
                 self.alarms.setdefault(test, {}).setdefault(network, {})[name] = rates[name]
-
-
-def _name_of(seed: int | None) -> str:
-    """What details call a training by: its seed, or the average."""
-    return ENSEMBLE if seed is None else str(seed)
 
 
 def prediction_row(
@@ -144,7 +140,7 @@ def predicted_table(dataset: str | Path, models: Mapping[Key, LrcnModel | Instru
             ]
             if network in (TRAINING, AVERAGE) and test.name in TRAINED_ON:
                 of_network = table.alarms.setdefault(test.name, {}).setdefault(network, {})
-                of_network[_name_of(seed)] = alarm_rates(model, whole)
+                of_network[name_of(seed)] = alarm_rates(model, whole)
     return table
 
 
@@ -209,10 +205,14 @@ def write_evaluation(
     table = predicted_table(dataset, trained.load(frozenset(kept)))
     if before:
         again = {row["network"] for row in table.rows}
-        table.add(
-            _written(predictions_file, details_file, rescaled),
-            lambda row: row["network"] not in again or place_of(row) in elsewhere,
-        )
+
+        def stays(row: Row) -> bool:
+            network = row["network"]
+            if network in again:
+                return place_of(row) in elsewhere
+            return network.startswith((PROBE, SHIPPED)) or trained.counts(*place_of(row))
+
+        table.add(_written(predictions_file, details_file, rescaled), stays)
     else:
         table.add(probe_table(dataset), lambda _: True)
     order = [test.name for test in evaluation_sets(rows)]

@@ -123,11 +123,13 @@ def scores(rows: Sequence[Row]) -> dict[str, float]:
 
 def scores_by_seed(rows: Sequence[Row]) -> dict[str, dict[str, float]]:
     """Return the scores of every seed of a network, by the seed's name."""
-    found = {
-        ENSEMBLE if seed is None else str(seed): scores(of_seed)
-        for seed, of_seed in grouped(rows, "seed").items()
-    }
+    found = {name_of(seed): scores(of_seed) for seed, of_seed in grouped(rows, "seed").items()}
     return dict(sorted(found.items()))
+
+
+def name_of(seed: int | None) -> str:
+    """Return what tables call a training by: its seed, or the average."""
+    return ENSEMBLE if seed is None else str(seed)
 
 
 def metrics_of_table(rows: Sequence[Row], models: Mapping[str, Any]) -> dict[str, Any]:

@@ -83,27 +83,22 @@ class Trained:
         As when the others were trained on another machine: by split, network and seed, path ->
         SHA-256 as in `scored`.
         """
+        here = {_key_of(path) for paths in self.files().values() for path in paths}
         found: dict[Key, dict[str, str]] = {}
         for path, digest in scored.items():
             key = _key_of(Path(path))
-            if key is not None and self._counts(*key) and not self._weights(*key).is_file():
+            if key is not None and self.counts(*key) and key not in here:
                 found.setdefault(key, {})[path] = digest
         return found
 
-    def _counts(self, split: str, network: str, seed: int | None) -> bool:
+    def counts(self, split: str, network: str, seed: int | None) -> bool:
+        """Whether the configuration has a network, a training of the instrument or an average."""
         if network in NETWORKS:
             known = self.train is None or (network, seed) in trainings(self.train, split)
         else:
             seeds = self.instrument_seeds
             known = seeds is None or (len(seeds) > 1 if seed is None else seed in seeds)
         return known and split in self.splits
-
-    def _weights(self, split: str, network: str, seed: int | None) -> Path:
-        """Where the weights of a model are, if they are here."""
-        if network in NETWORKS:
-            return Path(self.networks or "", split, network, f"seed{seed}", WEIGHTS)
-        name = ENSEMBLE if seed is None else f"seed{seed}"
-        return Path(self.instruments or "", split, name, INSTRUMENT_WEIGHTS)
 
     def load(self, without: frozenset[str] = frozenset()) -> dict[Key, LrcnModel | Instrument]:
         """Return the models but those of some kinds; BadInput if one is not what its place says."""
