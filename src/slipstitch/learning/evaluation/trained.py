@@ -52,28 +52,22 @@ class Trained:
         if self.shipped is not None:
             found[SHIPPED] = [Path(self.shipped, INSTRUMENT_WEIGHTS)]
         for split in self.splits if self.networks is not None else ():
-            wanted = self.train and {
-                (name, f"seed{seed}") for name, seed in trainings(self.train, split)
-            }
             found[NETWORKS_KIND] += [
                 file
                 for network in NETWORKS
                 for place in sorted(Path(self.networks, split, network).glob("seed*"))
                 for folder in (place, place / ALL_VIEWS)
                 for file in (folder / WEIGHTS, folder / CARD)
-                if (folder / WEIGHTS).is_file()
-                and (wanted is None or (network, place.name) in wanted)
+                if (folder / WEIGHTS).is_file() and self._has(split, network, place.name)
             ]
-        seeds = self.instrument_seeds
         for split in self.splits if self.instruments is not None else ():
             folder = Path(self.instruments, split)
             found[TRAINING] += [
                 path
                 for path in sorted(folder.glob(f"seed*/{INSTRUMENT_WEIGHTS}"))
-                if seeds is None or path.parent.name in {f"seed{seed}" for seed in seeds}
+                if self._has(split, TRAINING, path.parent.name)
             ]
-            # Of a single seed no average is configured.
-            if seeds is None or len(seeds) > 1:
+            if self._has(split, AVERAGE, ENSEMBLE):
                 found[AVERAGE] += sorted(folder.glob(f"{ENSEMBLE}/{INSTRUMENT_WEIGHTS}"))
         return found
 
@@ -93,12 +87,20 @@ class Trained:
 
     def counts(self, split: str, network: str, seed: int | None) -> bool:
         """Whether the configuration has a network, a training of the instrument or an average."""
+        name = ENSEMBLE if seed is None else f"seed{seed}"
+        return split in self.splits and self._has(split, network, name)
+
+    def _has(self, split: str, network: str, name: str) -> bool:
+        """The same of one of its splits, by the name of the folder."""
+        seeds = self.instrument_seeds
         if network in NETWORKS:
-            known = self.train is None or (network, seed) in trainings(self.train, split)
-        else:
-            seeds = self.instrument_seeds
-            known = seeds is None or (len(seeds) > 1 if seed is None else seed in seeds)
-        return known and split in self.splits
+            if self.train is None:
+                return True
+            of_split = trainings(self.train, split)
+            seeds = [seed for other, seed in of_split if other == network]
+        if seeds is not None and name == ENSEMBLE:
+            return len(seeds) > 1  # of a single seed no average is configured
+        return seeds is None or name in {f"seed{seed}" for seed in seeds}
 
     def load(self, without: frozenset[str] = frozenset()) -> dict[Key, LrcnModel | Instrument]:
         """Return the models but those of some kinds; BadInput if one is not what its place says."""
@@ -134,7 +136,10 @@ def _key_of(path: Path) -> Key | None:
         return None
     if split not in TRAINED_ON:  # the shipped one, which is everywhere
         return None
-    return split, network, None if name == ENSEMBLE else int(name.removeprefix("seed"))
+    seed = name.removeprefix("seed")
+    if name != ENSEMBLE and not seed.isdecimal():
+        return None
+    return split, network, None if name == ENSEMBLE else int(seed)
 
 
 def _networks(paths: list[Path]) -> dict[Key, LrcnModel]:
