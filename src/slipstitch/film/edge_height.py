@@ -13,14 +13,14 @@ import numpy as np
 from scipy.optimize import minimize
 from scipy.special import ndtr
 
-from slipstitch.design.stage_path import SIDE_M, TAB_M
+from slipstitch.design.stage_path import SIDE_M, TAB_M, StagePath
 from slipstitch.film.frame_schedule import Schedule
 from slipstitch.images.camera import Camera
 from slipstitch.images.encoding import LINEAR
 from slipstitch.images.rectification import across_the_track, bounds, in_stage_plane
 
-#: The stage rests between drop and drag, give or take this.
-REST_S = 0.35
+# The stage rests between drop and drag, give or take this.
+_REST_S = 0.35
 # So far along the track, the cloth no longer covers what is behind its upper edge at rest.
 _CLEAR_M = 0.1
 _MOST_BEHIND = 12  # frames: more would take longer and tell no more
@@ -38,6 +38,11 @@ _BLOCKS = 8
 _EXPLAINED, _SHARE = 0.5, 0.4
 # Nor is an edge that rises by more from the middle to a holder: they are level within half of it.
 _RISE_MM = 1.0
+
+
+def is_at_rest(time_s: float | np.ndarray, path: StagePath) -> bool | np.ndarray:
+    """Whether the stage rests between drop and drag, at times from its start."""
+    return np.abs(time_s - path.drop_duration_s) <= _REST_S
 
 
 def cut_out(image: np.ndarray, place: np.ndarray, margin: int) -> tuple[np.ndarray, np.ndarray]:
@@ -79,7 +84,7 @@ class EdgeFinder:
         """Take a frame (rows, columns, 3) uint8 at a time from the start, where it is of use."""
         if not self._is_seen:
             return
-        if abs(time_s - self._path.drop_duration_s) <= REST_S:
+        if is_at_rest(time_s, self._path):
             self._rest.append(self._light(image))
         elif len(self._behind) < _MOST_BEHIND and self._path.position_m(time_s)[0] >= _CLEAR_M:
             self._behind.append(self._light(image))

@@ -14,7 +14,7 @@ from scipy.optimize import least_squares
 
 from slipstitch.base.errors import BadInput
 from slipstitch.design.stage_path import SIDE_M, StagePath
-from slipstitch.film.edge_height import REST_S, EdgeFinder, cut_out
+from slipstitch.film.edge_height import EdgeFinder, cut_out, is_at_rest
 from slipstitch.film.frame_schedule import Schedule
 from slipstitch.film.recording import GIVE_RATE
 from slipstitch.film.stage_start import vertex_of_parabola
@@ -112,7 +112,7 @@ class StageFollower:
         Few are to be decoded: a frame that can be decoded without those before it (`is_key`) is
         taken in place of the frame that is due, if it is near.
         """
-        rest = np.flatnonzero(np.abs(time_s - self._path.drop_duration_s) <= REST_S)
+        rest = np.flatnonzero(is_at_rest(time_s, self._path))
         chosen = list(map(int, rest[:_REST_FRAMES]))
         if not chosen:
             return []
@@ -137,7 +137,7 @@ class StageFollower:
         patches = np.stack(
             [cv2.remap(grey, x[k], y[k], cv2.INTER_LINEAR) for k in range(len(maps))]
         )
-        if abs(time_s - self._path.drop_duration_s) <= REST_S:
+        if is_at_rest(time_s, self._path):
             self._rest.append(patches[np.argmin(abs(self._x_m[near]))])
             return
         likeness = np.full(len(self._x_m), np.nan, np.float32)

@@ -29,7 +29,7 @@ from slipstitch.config.dataset import CaptureSettings, PairSettings
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.design.grid import simulation_seed
 from slipstitch.design.stage_path import StagePath
-from slipstitch.film.edge_height import REST_S
+from slipstitch.film.edge_height import is_at_rest
 from slipstitch.images.calibrated_view import viewpoint_pose
 from slipstitch.images.camera import Camera, turned
 from slipstitch.images.camera_file import camera_record, write_camera_file
@@ -251,9 +251,8 @@ def filmed(time_s: np.ndarray, path: StagePath, later_every: int) -> np.ndarray:
 
     That is while the stage starts, and where it rests between drop and drag.
     """
-    rest = np.abs(time_s - path.drop_duration_s) <= REST_S
     few = np.arange(len(time_s)) % later_every == 0
-    return np.flatnonzero((time_s <= _START_S) | rest | few)
+    return np.flatnonzero((time_s <= _START_S) | is_at_rest(time_s, path) | few)
 
 
 def _lens_images(
