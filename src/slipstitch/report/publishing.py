@@ -192,8 +192,8 @@ def _keep(
     """Put into a new folder what the one before has of results that are gone."""
     known = {to: name for name, to in finished_files(config).items()}
     anew = {known.get(name) for name in there}
-    for to in kept:
-        if to not in (*there, *_OWN) and not (folder / to).exists():
+    for to in set(kept) - {*there, *_OWN}:
+        if not (folder / to).exists():
             _copy(before / to, folder / to, is_published(config, to))
     same = load_config(before / "config.json") == config
     manifests = [one / "dataset" / MANIFEST for one in (before, folder)]
