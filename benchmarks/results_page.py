@@ -20,6 +20,7 @@ from slipstitch.config import load_config
 from slipstitch.criticise.verdict import RULES
 from slipstitch.design.grid import simulations
 from slipstitch.design.stage_path import StagePath
+from slipstitch.film.captures_scores import model_and_split
 from slipstitch.film.measure import SHIPPED
 from slipstitch.film.measure.clamp_height import ClampHeight
 from slipstitch.learning.evaluation import paper as printed
@@ -144,11 +145,11 @@ def paper_captures():
     ):
         shares = [printed.CAPTURES.get(name, {}).get(score) for name in names]
         cells = ["" if one is None else f"{100 * one:.1f}" for one in shares]
-        rows.append([words, 63, *cells])
+        rows.append([words, printed.CAPTURES_PAIRS, *cells])
     labels = found["surrogate_all"]
     for label, of_all in labels.items():
-        model, _, split = label.partition(", trained ")
-        if f"{model}{CALIBRATED}, trained {split}" in labels:
+        model, split = model_and_split(label)
+        if any((model + CALIBRATED, split) == model_and_split(other) for other in labels):
             continue  # captures show the view that it was fine-tuned on
         title = model_title(model.removesuffix(CALIBRATED))
         words = title if model == SHIPPED_MODEL else f"{title}, {SPLIT_NAMES[split]}"

@@ -98,7 +98,7 @@ def _check_captures(arguments: options.Arguments) -> None:
     of_rows = ("example", "camera", "start_s", "frame_rate_hz", *TOLD)
     options.refuse(arguments, of_rows, "--captures")
     named = {Path(file).resolve() for file in files_named(arguments.captures)}
-    for name in ("out", "json", "csv"):
+    for name in sorted(options.written(measure)):
         file = getattr(arguments, name)
         if file is not None and Path(file).resolve() in named:
             raise BadInput(f"--{name} {file}: {arguments.captures} names this file")

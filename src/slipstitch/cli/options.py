@@ -62,9 +62,7 @@ PICTURE = Output(".png", ".svg")
 
 def refuse_overwriting(context: click.Context) -> None:
     """Refuse a file to be written that the command reads, or writes under another option, too."""
-    params = context.command.params
-    outs = (one for one in params if isinstance(one.type, Output) and not one.type.folder)
-    writes = {one.name for one in outs}
+    writes = written(context.command)
     outputs: dict[Path, tuple[str, str]] = {}
     for name in sorted(writes):
         for file, text in _files(context.params.get(name)).items():
@@ -75,6 +73,12 @@ def refuse_overwriting(context: click.Context) -> None:
         for file in _files(context.params[name]):
             if file in outputs:
                 raise BadInput(f"{' '.join(outputs[file])}: the command reads this file")
+
+
+def written(command: click.Command) -> set[str]:
+    """Return the names of the options of a command that name a file to write."""
+    outs = (one for one in command.params if isinstance(one.type, Output) and not one.type.folder)
+    return {one.name for one in outs if one.name}
 
 
 def _files(value: object) -> dict[Path, str]:

@@ -64,6 +64,9 @@ def predict_captures(dataset: str | Path, trained: Trained) -> list[dict[str, An
         (model.card["split"] if network == SHIPPED else split, network, seed): model
         for (split, network, seed), model in trained.load().items()
     }
+    if all(network == SHIPPED or predicts_material_alone(network) for _, network, _ in models):
+        folder = trained.networks or trained.instruments
+        raise BadInput(f"{folder}: no trained model for captures found")
     # Captures are of no training, so nothing else tells that the others are of one dataset.
     of_dataset = {
         model.card.get("dataset_digest"): f"{network} {split} seed {seed}"
@@ -106,9 +109,6 @@ def predict_captures(dataset: str | Path, trained: Trained) -> list[dict[str, An
                     "alarm": None if prediction.alarm is None else prediction.alarm_reason,
                 }
             )
-    if all(row["model"] == SHIPPED for row in rows):
-        folder = trained.networks or trained.instruments
-        raise BadInput(f"{folder}: no trained model for captures found")
     return rows
 
 

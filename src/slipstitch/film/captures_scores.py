@@ -23,6 +23,7 @@ from slipstitch.learning.evaluation.metrics import (
 from slipstitch.learning.evaluation.scores import answers_of, grouped
 
 Row = Mapping[str, Any]
+_TRAINED = ", trained "
 
 
 def what_they_are(known: Sequence[Row]) -> str:
@@ -45,7 +46,13 @@ def subsets(known: Sequence[Row]) -> dict[str, np.ndarray]:
 
 def label(row: Row) -> str:
     """Return the model of a row and what it was trained on, whatever the seed."""
-    return f"{row['model']}, trained {row['trained_on']}"
+    return f"{row['model']}{_TRAINED}{row['trained_on']}"
+
+
+def model_and_split(labelled: str) -> tuple[str, str]:
+    """Return the model and what it was trained on of a `label`."""
+    model, _, split = labelled.partition(_TRAINED)
+    return model, split
 
 
 def pair_medians(rows: Sequence[Row]) -> list[dict[str, Any]]:

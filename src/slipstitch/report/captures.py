@@ -8,7 +8,7 @@ import numpy as np
 from slipstitch.base.page.figures import svg_uri
 from slipstitch.base.page.wording import NONE, percent
 from slipstitch.config.train import REFLECTIVE
-from slipstitch.film.captures_scores import subsets, what_they_are
+from slipstitch.film.captures_scores import model_and_split, subsets, what_they_are
 from slipstitch.learning.evaluation import paper
 from slipstitch.learning.evaluation.metrics import CAPTURES, distance, metrics_of
 from slipstitch.learning.evaluation.scores import CALIBRATED
@@ -69,7 +69,7 @@ def _captured(results: Results, rows: Sequence[Mapping[str, Any]], panels: Panel
         if of
     ]
     for label in next(iter(by_subset.values()), {}):
-        model, _, split = label.partition(", trained ")
+        model, split = model_and_split(label)
         title = f"{model_title(model)}, {SPLIT_NAMES[split]}"
         panel = panels.setdefault(title, {})
         for trained_on in (split, REFLECTIVE) if split == "by_video" else (split,):
