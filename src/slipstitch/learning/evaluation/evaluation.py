@@ -44,6 +44,8 @@ from slipstitch.learning.prediction import Prediction, classes_of
 from slipstitch.learning.torch_setup import set_up_torch
 
 Row = dict[str, Any]
+# More would be the larger part of the table, and noise.
+PROBABILITY_DECIMALS = 6
 
 
 @dataclass
@@ -221,6 +223,9 @@ def write_evaluation(
         (row for row in table.rows if row["split"] in scored),
         key=lambda row: (order.index(row["split"]), place_in_tables(row["network"])),
     )
+    for row in found:
+        if row["probabilities"] is not None:
+            row["probabilities"] = np.round(row["probabilities"], PROBABILITY_DECIMALS).tolist()
     metrics = metrics_of_table(found, table.models)
     of_video = {row["video"]: row for row in rows}
     details = details_of_table(found, table.models, of_video)
