@@ -193,8 +193,10 @@ def _keep(
     known = {to: name for name, to in finished_files(config).items()}
     anew = {known.get(name) for name in there}
     for to in set(kept) - {*there, *_OWN}:
-        if not (folder / to).exists():
-            _copy(before / to, folder / to, is_published(config, to))
+        for name in (to, to + SIDECAR_SUFFIX):
+            if (before / name).is_file() and not (folder / name).exists():
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copyfile(before / name, folder / name)
     same = load_config(before / "config.json") == config
     manifests = [one / "dataset" / MANIFEST for one in (before, folder)]
     again = all(map(Path.is_file, manifests)) and len({*map(file_digest, manifests)}) > 1
@@ -303,9 +305,10 @@ def _copy(source: Path, to: Path, published: bool = True) -> None:
         return
     if source.suffix == ".parquet" and source.name != MANIFEST and source.is_file():
         columns = {one.path: one.physical_type for one in pq.read_metadata(source).schema}
-        numbers = [path for path, kind in columns.items() if kind in ("FLOAT", "DOUBLE")]
-        others = [path for path in columns if path not in numbers]
-        stored = {"use_dictionary": others, "use_byte_stream_split": numbers}
+        # Predictions are doubles, rounded; what calibrates is not.
+        unrounded = [path for path, kind in columns.items() if kind == "FLOAT"]
+        others = [path for path in columns if path not in unrounded]
+        stored = {"use_dictionary": others, "use_byte_stream_split": unrounded}
         pq.write_table(read_parquet(source), to, compression="zstd", **stored)
     elif published and source.is_file():
         shutil.copyfile(source, to)
