@@ -136,7 +136,11 @@ def paper_unseen():
 
 def paper_captures():
     """Return how many pairs of surrogate films are read to a tenth, beside real ones."""
-    found = read("paper/captures/metrics.json")
+    runs = [
+        read(f"{run}/captures/metrics.json")
+        for run in ("paper", "paper_reflective")
+        if (PUBLISHED / run / "captures").is_dir()
+    ]
     subsets, score = ("all", "matte", "reflective"), "median_within_0.1"
     rows = []
     for words, names in (
@@ -146,11 +150,13 @@ def paper_captures():
         shares = [printed.CAPTURES.get(name, {}).get(score) for name in names]
         cells = ["" if one is None else f"{100 * one:.1f}" for one in shares]
         rows.append([words, printed.CAPTURES_PAIRS, *cells])
-    labels = found["surrogate_all"]
-    for label, of_all in labels.items():
+    labels = {label: found for found in runs for label in found["surrogate_all"]}
+    for label in sorted(labels, key=lambda one: one.startswith(SHIPPED_MODEL)):
+        found = labels[label]
         model, split = model_and_split(label)
         if any((model + CALIBRATED, split) == model_and_split(other) for other in labels):
             continue  # captures show the view that it was fine-tuned on
+        of_all = found["surrogate_all"][label]
         title = model_title(model.removesuffix(CALIBRATED))
         words = title if model == SHIPPED_MODEL else f"{title}, {SPLIT_NAMES[split]}"
         cells = [f"{100 * found[f'surrogate_{name}'][label][score]:.1f}" for name in subsets]

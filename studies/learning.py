@@ -1,6 +1,6 @@
 """Training: videos per second, and deviation of bfloat16 gradients from float32.
 
-    python benchmarks/learning.py [--threads 2] [--pixels 64 112] [--steps 6]
+    python studies/learning.py [--threads 2] [--pixels 64 112] [--steps 6]
 
 The networks have their default sizes, the videos are drawn (tests/support/synthetic_videos.py) with
 noise; a step is all that a training does with a batch: augmentation, forward, backward, optimiser.
