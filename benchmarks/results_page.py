@@ -318,8 +318,9 @@ def bench_tolerances():
 def drawn_benches():
     """Return the readings of drawn fabrics behind drawn clamps, and by how much these differ.
 
-    Of the fabrics and the height of each simulation, the logarithms of ``areal density``,
-    ``stretching`` and ``bending`` over those of the catalogue, and the millimetres ``higher``.
+    Of the fabrics and the clamps of each simulation, the logarithms of ``areal density``,
+    ``stretching`` and ``bending`` over those of the catalogue, the millimetres ``higher``, and
+    ``askew``, the square of the degrees by which the clamps are turned about the vertical.
     """
     names = ("paper", "instrument", "error_bars")
     config = load_config(*(ROOT / "config" / f"{name}.yaml" for name in names))
@@ -330,6 +331,7 @@ def drawn_benches():
             "stretching": math.log(bench.stretching_factor),
             "bending": math.log(bench.bending_factor),
             "higher": 1e3 * bench.height_m,
+            "askew": bench.yaw_deg**2,
         }
         for one in simulations(config)
         for bench in [draw_perturbation(config.simulation, one.seed, one.replicate)]
@@ -356,12 +358,12 @@ def shipped_intervals():
     return readings
 
 
-def fabric_effects(readings):
-    """Return a linear fit of fabrics to the logarithm of readings at the right height.
+def effects(readings, names):
+    """Return a linear fit of columns to the logarithm of readings at the right height.
 
-    That is columns, coefficients, covariance, and a prediction of each simulation from the others.
+    That is coefficients, their standard errors, and a prediction of each simulation from the
+    others.
     """
-    names = ["areal density", "stretching", "bending"]
     error = numpy.log(readings["reading"] / readings["friction"])
     means = readings.assign(error=error).groupby("simulation")[[*names, "error"]].mean()
     columns = numpy.column_stack([numpy.ones(len(means)), means[names]])
@@ -369,8 +371,8 @@ def fabric_effects(readings):
     sizes = inverse @ columns.T @ means["error"]
     left = means["error"] - columns @ sizes
     own = numpy.einsum("ij,jk,ik->i", columns, inverse, columns)
-    covariance = inverse * (left @ left) / (len(means) - columns.shape[1])
-    return names, sizes[1:], covariance[1:, 1:], means["error"] - left / (1 - own)
+    variance = inverse.diagonal() * (left @ left) / (len(means) - columns.shape[1])
+    return sizes[1:], numpy.sqrt(variance[1:]), means["error"] - left / (1 - own)
 
 
 def knowledge_of_the_bench():
@@ -403,23 +405,31 @@ def knowledge_of_the_bench():
 
     film_mm = read("camera/film_height.json")["camera_calibrated"]["rms_mm"]
     with_height = corrected(0.2)
-    names, sizes, covariance, expected = fabric_effects(with_height)
-    with_fabric = times(with_height, numpy.exp(-with_height["simulation"].map(expected)))
+    fabric = ["areal density", "stretching", "bending"]
+
+    def without(names):
+        """Return readings at the right height without what the columns explain."""
+        expected = effects(with_height, names)[-1]
+        return times(with_height, numpy.exp(-with_height["simulation"].map(expected)))
+
     rows = [
         [words, *scores(scored(part))]
         for words, part in (
             ("nothing", readings),
             (f"height, by the film (± {film_mm:.1f} mm)", corrected(film_mm)),
             ("height, by a gauge block (± 0.2 mm)", with_height),
-            ("and areal density, stretching and bending", with_fabric),
+            ("and areal density, stretching and bending", without(fabric)),
+            ("and how far askew the clamps hang", without([*fabric, "askew"])),
         )
     ]
+    sizes, errors, _ = effects(with_height, [*fabric, "askew"])
+    words = [*(f"10 % more {name}" for name in fabric), "clamps 1° askew"]
     changes = [
-        [name, f"{0.1 * size:+.1%} ± {0.1 * sd:.1%}"]
-        for name, size, sd in zip(names, sizes, numpy.sqrt(covariance.diagonal()), strict=True)
+        [name, f"{step * size:+.1%} ± {step * error:.1%}"]
+        for name, step, size, error in zip(words, (0.1, 0.1, 0.1, 1), sizes, errors, strict=True)
     ]
     known = table(f"known|{INTERVAL_SCORES}", rows)
-    return f"{known}\n\n{table('10 % more|changes μ by', changes)}"
+    return f"{known}\n\n{table('what|changes μ by', changes)}"
 
 
 def processors():
@@ -538,8 +548,8 @@ SECTIONS = {
         paper_coefficients,
     ),
     "The instrument, domain by domain": (
-        "Coverage counts each simulation once. Those of the fourth row calibrate the "
-        "intervals, too: each has the intervals without it.",
+        "Coverage counts simulations. Those of the fourth row calibrate, too: each has the "
+        "intervals without it.",
         instrument_domains,
     ),
     "The instrument from every side": ("The same held-out simulations.", instrument_angles),
@@ -559,8 +569,8 @@ SECTIONS = {
         bench_tolerances,
     ),
     "What it is worth to know the bench": (
-        "Other fabrics (± 25 %) and clamps (height ± 1 mm, within 2 mm), as above. The fabric's "
-        "part: a linear fit to the other simulations.",
+        "Other fabrics (± 25 %) and clamps (height ± 1 mm, within 2 mm; ± 1.5° askew), as above. "
+        "Fabric and angle: linear fits to the other simulations.",
         knowledge_of_the_bench,
     ),
     "Another processor": ("", processors),
