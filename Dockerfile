@@ -1,4 +1,4 @@
-# Slipstitch with the versions of the lock: docs/run-the-factory.md, "In a container".
+# Slipstitch with the versions of the lock.
 FROM python:3.11-slim-bookworm
 
 # Blender's libraries.

@@ -113,7 +113,8 @@ def paper_unseen():
     details = Scores({}, read("paper/details.json"))
     network, metrics = "friction_conditional", ("friction_lt_0.1", "friction_lt_0.2")
     angles = read("camera/angles.json")["angles"]
-    shipped = details.detail("unseen_texture", "instrument_shipped")["mean"][metrics[0]]
+    by_texture = details.detail("unseen_texture", "instrument_shipped")["by"]["texture"]
+    (shipped,) = (part["within_0_1"] for part in by_texture.values())
     quoted = [printed.UNSEEN_TEXTURE[network, metric] for metric in metrics]
     of_texture = "calibrated", printed.UNSEEN_TEXTURE_VIDEOS, quoted, shipped
     tests = [("unseen texture", "unseen_texture", *of_texture)]
@@ -131,7 +132,7 @@ def paper_unseen():
         ]
         theirs = [f"{100 * share:.1f}" for share in shares]
         rows.append([words, number, *theirs, found.get("n", "–"), *ours, f"{100 * shipped:.0f}"])
-    return table("%|the paper's videos|< 0.1|< 0.2|our videos|< 0.1|< 0.2|instrument < 0.1", rows)
+    return table("%|the paper's videos|< 0.1|< 0.2|our videos|< 0.1|< 0.2|instrument ≤ 0.1", rows)
 
 
 def paper_captures():
@@ -162,7 +163,7 @@ def paper_captures():
         cells = [f"{100 * found[f'surrogate_{name}'][label][score]:.1f}" for name in subsets]
         rows.append([words, of_all["pairs"], *cells])
     each = of_all["n"] // of_all["pairs"]
-    return table(f"%; ours: {each} simulated films|pairs|all|without mirrors|mirrors", rows)
+    return table(f"%; ours: {each} simulated films|pairs|all|not reflective|reflective", rows)
 
 
 def paper_coefficients():
@@ -179,7 +180,7 @@ def paper_coefficients():
          f"{share['material_baseline', one['id']]:.0%}"]
         for one in details["classes"]
     ]  # fmt: skip
-    return table("μ|tail moves to the next 0.1 by, mm|μ right|fabric right", rows)
+    return table("μ|tail's move per 0.1 of μ, mm|μ right|fabric right", rows)
 
 
 def scored(readings):
@@ -296,7 +297,7 @@ def bench_tolerances():
             ("height, not measured", "± 1 mm", 1.0),
             ("height, told by the film", f"± {by_film_mm:.1f} mm", by_film_mm),
             ("height, set with a gauge block", "± 0.2 mm", 0.2),
-            ("one holder higher than the other", "0.5 mm", 0.25),
+            ("one clamp higher than the other", "0.5 mm", 0.25),
         )
     ]
     slope, incline = (math.tan(math.radians(degrees)) for degrees in (0.2, 0.3))
@@ -528,12 +529,12 @@ def simulated_campaigns():
 
 SECTIONS = {
     "The paper's networks": (
-        "160 simulations; 3072 training videos of 32 pixels. "
-        "One seed, with ±: two. Three views: before fine-tuning; calibrated view: after.",
+        "160 simulations; 3072 training videos of 32 pixels; a quarter of the paper's width (full "
+        "width, which takes a GPU, was not trained). One seed, with ±: two. Three views: before fine-tuning; calibrated view: after.",
         paper_table_2,
     ),
     "Unseen textures and turned cameras": (
-        "In brackets: Wilson's 90 % interval. The instrument: its own simulations.",
+        "In brackets: Wilson's 90 % interval. The instrument where turned: its own simulations.",
         paper_unseen,
     ),
     "Surrogate films": (
@@ -548,8 +549,8 @@ SECTIONS = {
         paper_coefficients,
     ),
     "The instrument, domain by domain": (
-        "Coverage counts simulations. Those of the fourth row calibrate, too: each has the "
-        "intervals without it.",
+        "Coverage counts each simulation once. Row four calibrates, too: its intervals leave out "
+        "the simulation itself.",
         instrument_domains,
     ),
     "The instrument from every side": ("The same held-out simulations.", instrument_angles),
@@ -565,7 +566,7 @@ SECTIONS = {
         film_height,
     ),
     "What a tolerance of the bench costs": (
-        "At μ = 0.5, besides the instrument's own error; “in all”: with it.",
+        "At μ = 0.5, besides the instrument's own error; “in all”: with it, over all μ.",
         bench_tolerances,
     ),
     "What it is worth to know the bench": (
@@ -584,7 +585,7 @@ SECTIONS = {
         convergence,
     ),
     "What a simulation costs": ("The whole protocol, 41 × 41 vertices, one core.", simulation_cost),
-    "Criticism of measured data": ("", measured_cases),
+    "Criticism of measured data": ("None of the cases is of cloth.", measured_cases),
     "Criticism of simulated campaigns": (
         "Campaigns of forward models of their own, of known truth, at seeds that no constant was "
         "chosen on (`benchmarks/criticise.py`). λ says how clearly the planted effect shows (its "
@@ -598,7 +599,7 @@ SECTIONS = {
 
 def results_page():
     """Return the text of docs/results.md."""
-    text = "# Results\n\nEvery measured number, from the files in `results/published`. "
+    text = "# Results\n\nMeasured numbers, from the files in `results/published`. "
     text += "Written by `make results`; each file's record says how.\n"
     for title, (words, make) in SECTIONS.items():
         text += f"\n## {title}\n\n" + (f"{words}\n\n" if words else "") + f"{make()}\n"

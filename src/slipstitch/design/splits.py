@@ -3,7 +3,7 @@
 Two ways, because they answer different questions. `split_by_video` is the paper's: videos at
 random, so that the simulation of a test video is in the training set too, seen from another
 side or in another cloth. `split_by_simulation` keeps whole simulations from training; only it tells
-what a network is worth on a cloth that it has never watched move. docs/how/learning.md argues both.
+what a network is worth on a cloth that it has never watched move.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
 The lens's distortion is taken out, and what lies on a surface, the mean cloth and the floor, is put
 where a camera at the calibrated viewpoint sees it. If the real camera stands there, this holds for
 every point. If it stands elsewhere, points off the surface are shifted by their parallax; of the
-surfaces that were tried this one shifts cloth least (docs/measure-a-film.md).
+surfaces that were tried this one shifts cloth least.
 
 The mean cloth is known from the stage alone: of ten fabrics, a cloth that is dragged steadily hangs
 from the clamps in nearly one profile, and its lower edge lags by 0.6 to 0.8 of a taut sheet's
