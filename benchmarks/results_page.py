@@ -530,7 +530,8 @@ def simulated_campaigns():
 SECTIONS = {
     "The paper's networks": (
         "160 simulations; 3072 training videos of 32 pixels; a quarter of the paper's width (full "
-        "width, which takes a GPU, was not trained). One seed, with ±: two. Three views: before fine-tuning; calibrated view: after.",
+        "width, which takes a GPU, was not trained). One seed, with ±: two. "
+        "Three views: before fine-tuning; calibrated view: after.",
         paper_table_2,
     ),
     "Unseen textures and turned cameras": (
