@@ -36,7 +36,7 @@ def power(folder, replicates=100):
     assumed = assumptions_of(case)
     design = expected(case, assumed, 1)
     plain, scatters = plain_model(design, assumed)
-    return of_design(design, plain, scatters, SIGNIFICANCE, 1, replicates)
+    return of_design(design, plain, scatters, 1, replicates)
 
 
 def test_more_trials_show_smaller_effects_and_none_shows_what_nothing_would(tmp_path):

@@ -22,7 +22,7 @@ from slipstitch.criticise.inference.fit import Fit
 from slipstitch.criticise.inference.mixed_model import Scatter, make_groups
 from slipstitch.criticise.measurements import Measurements, assemble
 from slipstitch.criticise.statement import false_alarm_words, statement
-from slipstitch.criticise.verdict import SIGNIFICANCE, analyse
+from slipstitch.criticise.verdict import analyse
 from slipstitch.criticise.verdict_data import extended_model, verdict_of
 
 NO_ALARM = ("none", "insufficient")
@@ -135,8 +135,8 @@ def power_to_file(case: Case, seed: int, replicates: int, path: str, campaigns: 
     assumed = assumptions_of(case)
     design = expected(case, assumed, seed)
     plain, scatters = plain_model(design, assumed)
-    found = of_design(design, plain, scatters, SIGNIFICANCE, seed, replicates)
-    shown = certificate(found, SIGNIFICANCE)
+    found = of_design(design, plain, scatters, seed, replicates)
+    shown = certificate(found)
     if campaigns:
         rate = false_alarms(design, plain, scatters, campaigns, seed, replicates)
         shown["false_alarm_rate"] = rate

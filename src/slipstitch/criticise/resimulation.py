@@ -22,7 +22,7 @@ from slipstitch.physics.friction_law.extended_model import ExtendedModel, model_
 MODELS = ("null", "extended")
 QUANTITIES = ("te_x_mm", "contact_len_mm")
 MOST_FOLDS, FEWEST_SPECIMENS = 6, 3  # each specimen is left out once
-DEFAULT_ROWS, DEFAULT_STEP_S = 161, 0.04
+ROWS, STEP_S = 161, 0.04
 # Column of a run table, field of a simulated run, quantity of a contact, factor to SI.
 CONDITIONS = (
     ("orientation_deg", "orientation_rad", "direction_rad", np.pi / 180),
@@ -44,9 +44,7 @@ class Resimulation:
     summary: dict
 
 
-def resimulate(
-    case: Case, verdict: dict, rows: int = DEFAULT_ROWS, step_s: float = DEFAULT_STEP_S
-) -> Resimulation:
+def resimulate(case: Case, verdict: dict, rows: int = ROWS) -> Resimulation:
     """Simulate every measured drop-and-drag run with the null law and with the verdict's.
 
     Runs that are the same to a law are simulated once. Raises BadInput where there are no such
@@ -76,7 +74,7 @@ def resimulate(
             law = law_of_run(run, model, plain[name].get("discrepancy"))
             if (key, law.coefficient) not in done[name]:
                 done[name][key, law.coefficient] = drag_tracked(
-                    law, _sheet(case.nominal, model), key, rows, step_s, frame_rate_hz=5.0
+                    law, _sheet(case.nominal, model), key, rows, STEP_S, frame_rate_hz=5.0
                 )
             seen = done[name][key, law.coefficient]
             readings = {**model.readings, **zeros[name]}
@@ -87,24 +85,20 @@ def resimulate(
         "causes": verdict["models"]["extended"]["causes"],
         "simulations": {name: len(found) for name, found in done.items()},
     }
-    return _together(case, parts, said, rows, step_s)
+    return _together(case, parts, said, rows)
 
 
-def _together(
-    case: Case, parts: list[pd.DataFrame], said: dict, rows: int, step_s: float
-) -> Resimulation:
+def _together(case: Case, parts: list[pd.DataFrame], said: dict, rows: int = ROWS) -> Resimulation:
     frames = pd.concat(parts, ignore_index=True)
     compared = {
         "quantities": {quantity: compare(frames, quantity) for quantity in QUANTITIES},
         "all": compare(frames, *QUANTITIES),
     }
-    start = {"case": case.name, "rows": rows, "step_s": step_s}
+    start = {"case": case.name, "rows": rows, "step_s": STEP_S}
     return Resimulation(frames, start | said | compared)
 
 
-def resimulate_left_out(
-    case: Case, seed: int, replicates: int, rows: int = DEFAULT_ROWS, step_s: float = DEFAULT_STEP_S
-) -> Resimulation | None:
+def resimulate_left_out(case: Case, seed: int, replicates: int) -> Resimulation | None:
     """As :func:`resimulate`, every run with models that its specimen had no part in.
 
     One specimen is left out at a time (a sixth of them where there are more than six) and the
@@ -129,7 +123,7 @@ def resimulate_left_out(
         training = part(~left_out)
         analysis = analyse(assemble(training), seed, replicates)
         verdict = verdict_of(training, analysis, seed, "")
-        again = resimulate(part(left_out), verdict, rows, step_s)
+        again = resimulate(part(left_out), verdict)
         shown.append(again.frames)
         folds.append(
             {
@@ -139,7 +133,7 @@ def resimulate_left_out(
                 "simulations": again.summary["simulations"],
             }
         )
-    return _together(case, shown, {"folds": folds}, rows, step_s)
+    return _together(case, shown, {"folds": folds})
 
 
 def _sheet(nominal: dict, model: ExtendedModel) -> Sheet:

@@ -12,11 +12,11 @@ from slipstitch.criticise.causes import ZEROS, DataFinding, Zero
 from slipstitch.criticise.covariates import COVARIATES
 from slipstitch.criticise.inference import candidates
 from slipstitch.criticise.inference.candidates import Candidate
-from slipstitch.criticise.inference.evidence import SIGNIFICANCE, Evidence
+from slipstitch.criticise.inference.evidence import Evidence
 from slipstitch.criticise.inference.faulty_data import noise_findings, zero_findings
 from slipstitch.criticise.inference.rivals import TITLES
 from slipstitch.criticise.inference.state import State, refit
-from slipstitch.criticise.inference.structure import Outcome
+from slipstitch.criticise.inference.structure import SIGNIFICANCE, Outcome
 from slipstitch.criticise.measurements import Measurements
 from slipstitch.physics.friction_law import CONTACT_MECHANISMS
 

@@ -11,7 +11,6 @@ from slipstitch.criticise.causes import departures
 from slipstitch.criticise.covariates import COVARIATES
 from slipstitch.criticise.inference.certificate import certificate, separations
 from slipstitch.criticise.inference.discrepancy import embedded_discrepancy
-from slipstitch.criticise.inference.evidence import SIGNIFICANCE
 from slipstitch.criticise.inference.faulty_data import estimated_zeros, scatter_findings
 from slipstitch.criticise.inference.fit import Fit
 from slipstitch.criticise.inference.gain import held_out_gain, plain_scatters
@@ -66,7 +65,7 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
         "gain": {"metric": "log_score_per_row", **gain, "selection_nested": True},
         "not_identified": unknown,
         "not_exported": not_exported(fitted.causes, unknown),
-        "certificate": certificate(analysis.detectable, SIGNIFICANCE),
+        "certificate": certificate(analysis.detectable),
         "data_findings": [finding.as_dict() for finding in analysis.data_findings],
         "scatter_findings": scatter_findings(
             analysis.measurements, analysis.state, fitted.as_dict()

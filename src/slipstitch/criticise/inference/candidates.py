@@ -297,9 +297,7 @@ def second_is_significant(pair: Candidate, singles: list[Candidate], left: Outco
     return pair.credit - top.credit > threshold and pair.bic < top.bic
 
 
-def fitted_pairs(
-    judge: Judge, singles: list[Candidate], left: Outcome, most: int = 5
-) -> list[Candidate]:
+def fitted_pairs(judge: Judge, singles: list[Candidate], left: Outcome) -> list[Candidate]:
     """The most promising pairs, fitted; screened by ratios beside the leading singles."""
     promise: dict[tuple[str, ...], float] = {}
     # Beside a strong first mechanism a second one counts that explains little alone.
@@ -312,7 +310,7 @@ def fitted_pairs(
                 promise[pair] = max(promise.get(pair, 0.0), single.credit + ratio)
 
     offer(singles[0], left.tests, np.where(np.isfinite(left.log_p), left.statistic, np.nan))
-    beside_best = sorted(promise, key=lambda pair: (-promise[pair], pair))[:6]
+    beside_best, most = sorted(promise, key=lambda pair: (-promise[pair], pair))[:6], 5
     if left.global_p < 0.3:
         for single in singles[1:4]:
             offer(single, *_beside(judge, single))

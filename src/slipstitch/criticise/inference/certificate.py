@@ -24,7 +24,7 @@ from slipstitch.criticise.inference.candidates import TIE_BIC, Candidate
 from slipstitch.criticise.inference.fit import Fit, carried_over, jacobian, named
 from slipstitch.criticise.inference.mixed_model import Group, Scatter
 from slipstitch.criticise.inference.state import alternatives, ratios_of
-from slipstitch.criticise.inference.structure import ERROR_WEIGHTS, Outcome, Test
+from slipstitch.criticise.inference.structure import ERROR_WEIGHTS, SIGNIFICANCE, Outcome, Test
 from slipstitch.criticise.measurements import Measurements, measurements_of
 from slipstitch.criticise.protocols import PROTOCOLS
 from slipstitch.criticise.protocols.protocol import Protocol
@@ -68,16 +68,16 @@ class Detectable:
 
 
 def smallest_detectable(
-    outcome: Outcome, fitted: Fit, limit: float, rivals: dict[str, tuple[float, str]]
+    outcome: Outcome, fitted: Fit, rivals: dict[str, tuple[float, str]]
 ) -> dict[str, Detectable]:
-    """The smallest effect of every mechanism beside a fitted model, at a family-wise limit."""
+    """The smallest effect of every mechanism beside a fitted model."""
     sensitivity = fitted.sensitivity()
     acting = sensitivity != 0
     found: dict[str, Detectable] = {}
     largest = outcome.largest.get("mechanism")
     if largest is None or outcome.information is None:
         return found
-    critical = float(np.quantile(largest, 1.0 - limit * ERROR_WEIGHTS["mechanism"]))
+    critical = float(np.quantile(largest, 1.0 - SIGNIFICANCE * ERROR_WEIGHTS["mechanism"]))
     noncentrality: dict[tuple[int, float], float] = {}
     for i, test in enumerate(outcome.tests):
         information, degrees = outcome.information[i], int(outcome.degrees[i])
@@ -180,12 +180,7 @@ def plain_model(
 
 
 def of_design(
-    design: Measurements,
-    plain: Fit,
-    scatters: dict[str, Scatter],
-    limit: float,
-    seed: int,
-    replicates: int,
+    design: Measurements, plain: Fit, scatters: dict[str, Scatter], seed: int, replicates: int
 ) -> dict[str, Detectable]:
     """The same for a campaign that is still to be made, at its plain model."""
     tests = alternatives(design, plain).tests
@@ -194,17 +189,17 @@ def of_design(
     ratios = ratios_of(exact, plain, tests, groups, scatters)
     outcome = ratios.outcome(np.random.default_rng(seed), replicates)
     rivals = closest_rivals(tests, plain.jacobian, design.zero_columns, groups, scatters)
-    return smallest_detectable(outcome, plain, limit, rivals)
+    return smallest_detectable(outcome, plain, rivals)
 
 
-def certificate(detectable: dict[str, Detectable], limit: float) -> dict:
+def certificate(detectable: dict[str, Detectable]) -> dict:
     """What this design could have seen and named; None where nothing would show the mechanism."""
 
     def rounded(size: float) -> float | None:
         return float(f"{size:.3g}") if np.isfinite(size) else None
 
     return {
-        "false_alarm_limit": limit,
+        "false_alarm_limit": SIGNIFICANCE,
         "false_alarm_rate": None,
         "power": POWER,
         "smallest_detectable": {
@@ -220,9 +215,7 @@ def certificate(detectable: dict[str, Detectable], limit: float) -> dict:
     }
 
 
-def separations(
-    case: Case, rivals: list[Candidate], scatters: dict[str, Scatter], most_pairs: int = 3
-) -> list[dict]:
+def separations(case: Case, rivals: list[Candidate], scatters: dict[str, Scatter]) -> list[dict]:
     """The best measurement for each of the closest pairs of rivals, as it stands in the verdict.
 
     The expected gain is half the squared distance of the two predictions in units of scatter,
@@ -241,7 +234,7 @@ def separations(
         if mechanism.direct_check is not None:
             measure, readings = mechanism.direct_check
             checks.setdefault(measure, {}).update(readings)
-    pairs = list(combinations(rivals, 2))[:most_pairs]
+    pairs = list(combinations(rivals, 2))[:3]
     predicted = {
         c.causes: [_predicted(c.fitted, design) for _, design in designs]
         for c in {c.causes: c for pair in pairs for c in pair}.values()

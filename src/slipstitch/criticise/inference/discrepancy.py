@@ -237,16 +237,14 @@ def _listed(names: list[str]) -> str:
     return " or ".join(filter(None, [", ".join(titles[:-1]), titles[-1]]))
 
 
-def embedded_discrepancy(
-    whole: Measurements, state: State, seed: int = 1, replicates: int = 500
-) -> dict:
+def embedded_discrepancy(whole: Measurements, state: State, seed: int = 1) -> dict:
     """The smooth factor that the data ask for beside the null, if any.
 
     Parameters
     ----------
     whole : the measurements as they were made; ``state`` has those that allow for outliers.
     state : the null and its scatter.
-    seed, replicates : of the simulated maxima.
+    seed : of the simulated maxima.
 
     Returns
     -------
@@ -260,7 +258,7 @@ def embedded_discrepancy(
     measurements = state.measurements
     problem = Problem(measurements, state.fitted, state.scatters)
     tracks = [track for name in ALONG if (track := track_along(problem, name)) is not None]
-    tried = _tried(problem, tracks, state, np.random.default_rng(seed), replicates)
+    tried = _tried(problem, tracks, state, np.random.default_rng(seed))
     plain = problem.fit(None) if tracks else None
     fitted = [(track, problem.fit(track.smooth())) for track in tracks]
     failed = [t.covariate.name for t, c in fitted if not (c.converged and plain.converged)]
@@ -319,14 +317,14 @@ def _reach(measurements: Measurements) -> float:
     return float(student.ppf(0.975, max(specimens - 2, 3)))
 
 
-def _tried(problem: Problem, tracks, state: State, rng, replicates: int) -> dict[str, float]:
+def _tried(problem: Problem, tracks, state: State, rng) -> dict[str, float]:
     """Family-wise p of a smooth curve along every covariate, in any protocol or in all."""
     if not tracks:
         return {}
     m = problem.measurements
     tests = [track.test(m, state.sensitivity, problem.usable) for track in tracks]
     ratios = ratios_of(m, problem.null, tests, state.groups, state.scatters)
-    outcome = ratios.outcome(rng, replicates, (SIGNIFICANCE,))
+    outcome = ratios.outcome(rng, 500, (SIGNIFICANCE,))
     found: dict[str, float] = {}
     for test, p in zip(outcome.tests, outcome.adjusted, strict=True):
         name = str(test.covariate)

@@ -20,10 +20,9 @@ from slipstitch.criticise.inference.fit import Fit, Weights, fit
 from slipstitch.criticise.inference.intervals import Intervals
 from slipstitch.criticise.inference.rivals import taken_by_rivals
 from slipstitch.criticise.inference.state import State
-from slipstitch.criticise.inference.structure import Outcome
+from slipstitch.criticise.inference.structure import SIGNIFICANCE, Outcome
 from slipstitch.criticise.measurements import Measurements, Outlier
 
-SIGNIFICANCE = 0.04
 # Explanations beside which outliers are looked for.
 MOST_BESIDE = 3
 
@@ -83,7 +82,7 @@ class Evidence:
         state = self.null_state
         columns = self.null.jacobian, state.measurements.zero_columns
         rivals = closest_rivals(state.tests, *columns, state.groups, state.scatters)
-        return smallest_detectable(self.null_outcome, self.null, SIGNIFICANCE, rivals)
+        return smallest_detectable(self.null_outcome, self.null, rivals)
 
     @cached_property
     def screened(self) -> list[Candidate]:

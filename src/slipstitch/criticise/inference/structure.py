@@ -9,7 +9,8 @@ import numpy as np
 from scipy.special import chdtrc, gammaln, log_ndtr
 from scipy.stats import beta
 
-# Of the family-wise error.
+# The family-wise error, and its shares.
+SIGNIFICANCE = 0.04
 ERROR_WEIGHTS = {"mechanism": 0.6, "generic": 0.4}
 SMALLEST_INFLATION = 0.5
 # A p from simulations is clear of a limit that this interval of it leaves out.

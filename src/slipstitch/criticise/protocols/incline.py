@@ -13,16 +13,14 @@ from slipstitch.physics.friction_law import Contact, FrictionLaw
 LARGEST_ANGLE_RAD = np.radians(89.0)
 
 
-def slip_angle_rad(
-    law: FrictionLaw, weight_N: np.ndarray, contact: Contact, iterations: int = 30
-) -> np.ndarray:
+def slip_angle_rad(law: FrictionLaw, weight_N: np.ndarray, contact: Contact) -> np.ndarray:
     """Slope alpha (n,) with ``W sin alpha = F(N = W cos alpha)``, static, at most 89 degrees.
 
     ``weight_N`` is of cloth and carrier; the load of ``contact`` is replaced.
     """
     weight_N = np.asarray(weight_N, dtype=float)
     slope = np.full(weight_N.shape, np.arctan(max(law.coefficient, 1e-9)))
-    for _ in range(iterations):
+    for _ in range(30):
         normal = weight_N * np.cos(slope)
         ratio = law.force_limit(contact.with_load(normal), static=True) / normal
         update = np.minimum(np.arctan(ratio), LARGEST_ANGLE_RAD)

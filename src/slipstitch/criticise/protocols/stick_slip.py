@@ -53,9 +53,7 @@ class Cycle:
     stick_s: np.ndarray
 
 
-def steady_cycle(
-    slider: Slider, law: FrictionLaw, rest: Contact, motion: Contact, iterations: int = 60
-) -> Cycle:
+def steady_cycle(slider: Slider, law: FrictionLaw, rest: Contact, motion: Contact) -> Cycle:
     """The cycle that a slider which starts from rest, its spring relaxed, settles in.
 
     The first slip comes after the rest of ``rest`` and the time in which the spring loads. Each
@@ -71,7 +69,7 @@ def steady_cycle(
     first_excess = np.maximum(first - kinetic, 0.0)
     start = replace(rest, dwell_s=np.where(np.isnan(resting), USUAL_REST_S, resting))
     excess = np.maximum(law.force_limit(start, static=True) - kinetic, 0.0)
-    for _ in range(iterations):
+    for _ in range(60):
         stick = 2.0 * excess / loading
         limit = law.force_limit(replace(rest, dwell_s=stick), static=True)
         update = np.maximum(limit - kinetic, 0.0)

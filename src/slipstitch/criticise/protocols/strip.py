@@ -71,14 +71,13 @@ def slip_strain(
     force_unit_N: np.ndarray,
     contact: Contact,
     tilt_downhill_rad: np.ndarray | float = 0.0,
-    iterations: int = 12,
 ) -> np.ndarray:
     """Strain at which the foot slips: tan(atan(Q/P) + tilt) = F(P) / P.
 
     ``weight_number`` is rho g L^3 / B, ``force_unit_N`` B width / L^2; both (n,).
     """
     ratio = np.full(np.shape(weight_number), law.coefficient, dtype=float)
-    for _ in range(iterations):
+    for _ in range(12):
         _, load = foot(weight_number, ratio)
         normal = load * force_unit_N
         limit = law.force_limit(contact.with_load(normal), static=True) / normal
