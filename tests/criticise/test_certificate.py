@@ -28,7 +28,7 @@ def test_an_effect_well_above_the_smallest_detectable_is_seen_and_one_far_below_
         folder = tmp_path / f"{factor}"
         planted(93, folder, {"nap": factor * smallest}, "incline")
         found = judged(folder)
-        assert (found.global_p < SIGNIFICANCE) == seen
+        assert (found.null_outcome.global_p < SIGNIFICANCE) == seen
 
 
 def power(folder, replicates=100):

@@ -81,7 +81,7 @@ def test_a_law_outside_the_library_is_found_with_its_curve_in_its_band(name, tmp
         assert found["tried"][covariate] < 0.01
         assert found["misfit_share"] > 0.3
         at = m.rows[covariate].to_numpy(float)
-        mean = np.log(law(at[np.isfinite(at) & state.keep])).mean()
+        mean = np.log(law(at[np.isfinite(at) & state.measurements.usual])).mean()
         true = np.log(law(np.array(found["knots"]))) - mean
         low, high = np.log(found["ci95"]).T
         inside.append(np.mean((low <= true) & (true <= high)))

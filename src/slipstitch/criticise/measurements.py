@@ -168,6 +168,11 @@ class Measurements:
         return len(np.unique(self.run))
 
     @property
+    def specimens(self) -> int:
+        """Number of specimens."""
+        return len(np.unique(self.specimen))
+
+    @property
     def of_friction(self) -> np.ndarray:
         """(n,) True where friction acts on the feature, not the instrument alone."""
         return ~self.rows["quantity"].isin(INSTRUMENT_QUANTITIES).to_numpy()

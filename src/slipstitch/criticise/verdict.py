@@ -76,10 +76,11 @@ _of_best = partial(_rule, of_best=True)
     f"{SMALLEST_SPECIMENS} specimens, and nothing significant.",
 )
 def _too_few(e: Evidence) -> str | None:
-    few = e.runs < SMALLEST_RUNS or e.specimens < SMALLEST_SPECIMENS
-    if e.runs < LEAST_RUNS or e.specimens < 2 or (few and not e.is_significant):
+    m = e.measurements
+    few = m.runs < SMALLEST_RUNS or m.specimens < SMALLEST_SPECIMENS
+    if m.runs < LEAST_RUNS or m.specimens < 2 or (few and not e.is_significant):
         return (
-            f"{e.runs} runs of {e.specimens} specimens; at least {SMALLEST_RUNS} of "
+            f"{m.runs} runs of {m.specimens} specimens; at least {SMALLEST_RUNS} of "
             f"{SMALLEST_SPECIMENS} are needed"
         )
     return None
@@ -239,19 +240,23 @@ def _named(e: Evidence) -> str | None:
     return ""
 
 
-@dataclass(frozen=True)
-class Analysis:
+class Analysis(Evidence):
     """The evidence, the rule that applies, and why: all that verdict, report, prediction need."""
 
-    evidence: Evidence
-    rule: Rule
-    reason: str
+    @cached_property
+    def _judged(self) -> tuple[Rule, str]:
+        reasons = ((rule, rule.reason(self)) for rule in RULES)
+        return next((rule, reason) for rule, reason in reasons if reason is not None)
 
-    def __getattr__(self, name: str):
-        # What the evidence has, the analysis has.
-        if name.startswith("_") or name == "evidence":
-            raise AttributeError(name)
-        return getattr(self.evidence, name)
+    @property
+    def rule(self) -> Rule:
+        """The first rule that applies; the last one always does."""
+        return self._judged[0]
+
+    @property
+    def reason(self) -> str:
+        """What the rule says of these data."""
+        return self._judged[1]
 
     @property
     def verdict(self) -> str:
@@ -266,51 +271,35 @@ class Analysis:
     @cached_property
     def alternatives(self) -> list[tuple[str, ...]]:
         """Every set of causes that is possible."""
-        e = self.evidence
         if self.verdict not in ("cause", "confounded"):
             return []
-        if self.verdict == "cause" or not e.taken:
-            return e.ties
-        kept = tuple(c for c in e.best.chosen.causes if c not in e.taken)
-        return [*e.ties, *((*kept, name) for name in e.takers)]
+        if self.verdict == "cause" or not self.taken:
+            return self.ties
+        kept = tuple(c for c in self.best.chosen.causes if c not in self.taken)
+        return [*self.ties, *((*kept, name) for name in self.takers)]
 
     @property
     def chosen(self) -> Candidate | None:
         """The best explanation, where the rule is about it."""
-        return self.evidence.best.chosen if self.rule.of_best else None
+        return self.best.chosen if self.rule.of_best else None
 
     @property
     def state(self) -> State:
         """Scatter and tests beside the chosen explanation, or beside plain friction."""
-        return self.evidence.best.state if self.rule.of_best else self.evidence.null_state
+        return self.best.state if self.rule.of_best else self.null_state
 
     @property
     def left_over(self) -> Outcome | None:
         """Tests of what is left, where something is."""
         if self.rule.of_best:
-            return self.evidence.best.left
-        return self.evidence.null_outcome if self.verdict == "unknown" else None
-
-    @property
-    def global_p(self) -> float:
-        """Family-wise p of plain friction."""
-        return self.evidence.null_outcome.global_p
+            return self.best.left
+        return self.null_outcome if self.verdict == "unknown" else None
 
     @cached_property
     def data_findings(self) -> list[DataFinding]:
         """What is wrong with the data themselves."""
-        m, fitted = self.evidence.measurements, self.evidence.null
-        fitted = self.chosen.fitted if self.chosen else fitted
+        m, fitted = self.measurements, self.chosen.fitted if self.chosen else self.null
         return [*m.findings, *noise_findings(m), *zero_findings(m, fitted, self.state)]
-
-
-def judged(evidence: Evidence) -> Analysis:
-    """Apply the rules in their order."""
-    for rule in RULES:
-        reason = rule.reason(evidence)
-        if reason is not None:
-            return Analysis(evidence, rule, reason)
-    raise AssertionError("the last rule always applies")
 
 
 def analyse(measurements: Measurements, seed: int = 1, replicates: int = 300) -> Analysis:
@@ -318,11 +307,11 @@ def analyse(measurements: Measurements, seed: int = 1, replicates: int = 300) ->
 
     ``replicates`` simulated data sets are behind every family-wise p.
     """
-    found = judged(Evidence(measurements, seed, replicates))
+    found = Analysis(measurements, seed, replicates)
     tares = _unsure_tares(found)
     if tares:
         measurements = replace(measurements, further_zeros=tares)
-        found = judged(Evidence(measurements, seed, replicates))
+        found = Analysis(measurements, seed, replicates)
     if found.verdict != "none" or not measurements.zeros:
         return found
     # Zeros may have taken a cause's place: does one explain the data as well without them?
@@ -335,17 +324,16 @@ def analyse(measurements: Measurements, seed: int = 1, replicates: int = 300) ->
     zeros, plain = likelihood(state.measurements), likelihood(sound)
     if zeros - plain < ZEROS_NEEDED:
         return found
-    evidence = Evidence(replace(measurements, sound_sensors=True), seed, replicates)
-    promise = -min((c.bic for c in evidence.screened), default=0.0)
-    if not evidence.is_significant or plain + promise < zeros + 0.5 * candidates.TIE_BIC:
+    other = Analysis(replace(measurements, sound_sensors=True), seed, replicates)
+    promise = -min((c.bic for c in other.screened), default=0.0)
+    if not other.is_significant or plain + promise < zeros + 0.5 * candidates.TIE_BIC:
         return found  # not even if the fit gains twice what its linear test promises
-    other = judged(evidence)
     chosen = other.chosen
     if other.verdict not in ("cause", "confounded") or chosen is None or len(chosen.causes) > 1:
         return found  # two causes in the place of zeros are no simpler than these
     without = likelihood(sound, chosen.causes, chosen.fitted, chosen.scatters)
     extra = len(chosen.fitted.values) - len(null.values)
-    without -= 0.5 * extra * np.log(max(found.runs, 2))
+    without -= 0.5 * extra * np.log(max(measurements.runs, 2))
     # Where zeros explain it about as well, nothing is said: of campaigns that hold nothing, a
     # quarter would be said to hold something, and none of the bench's effects was found by it.
     return other if without >= zeros + 0.5 * candidates.TIE_BIC else found

@@ -58,7 +58,7 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
         "null": {
             "log_score_per_row": gain.pop("null_score"),
             "rmse": gain["rmse_null"],
-            "global_p": round(analysis.global_p, 5),
+            "global_p": round(analysis.null_outcome.global_p, 5),
         },
         "residual_tests": residual_tests(left),
         "null_tests": residual_tests(analysis.null_outcome),

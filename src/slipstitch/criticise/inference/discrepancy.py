@@ -313,8 +313,7 @@ def embedded_discrepancy(whole: Measurements, state: State, seed: int = 1) -> di
 
 
 def _reach(measurements: Measurements) -> float:
-    specimens = len(np.unique(measurements.specimen))
-    return float(student.ppf(0.975, max(specimens - 2, 3)))
+    return float(student.ppf(0.975, max(measurements.specimens - 2, 3)))
 
 
 def _tried(problem: Problem, tracks, state: State, rng) -> dict[str, float]:

@@ -90,16 +90,6 @@ class Evidence:
         return candidates.linear_ranking(self.null_state, self.null_outcome)
 
     @property
-    def runs(self) -> int:
-        """Number of runs."""
-        return self.measurements.runs
-
-    @property
-    def specimens(self) -> int:
-        """Number of specimens."""
-        return len(np.unique(self.measurements.specimen))
-
-    @property
     def excluded(self) -> tuple[Outlier, ...]:
         """Outliers beside the null, or beside the best explanation if that was looked for."""
         state = self.best.state if "best" in self.__dict__ else self.null_state
@@ -158,7 +148,8 @@ class Evidence:
 
     def intervals(self, fitted: Fit) -> Intervals:
         """The parameters of a fit."""
-        return Intervals(fitted, self.specimens, self.null_outcome.mechanism_inflation())
+        inflation = self.null_outcome.mechanism_inflation()
+        return Intervals(fitted, self.measurements.specimens, inflation)
 
     def unsure(self, candidate: Candidate) -> list[str]:
         """Causes of a candidate that may have no size at all."""

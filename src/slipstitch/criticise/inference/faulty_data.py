@@ -356,7 +356,8 @@ def scatter_findings(measurements: Measurements, state: State, coefficients: dic
     found = []
     for block in measurements.blocks:
         scatter = state.scatters.get(block.protocol)
-        mine = (measurements.protocol == block.protocol) & state.keep & measurements.of_friction
+        mine = (measurements.protocol == block.protocol) & measurements.of_friction
+        mine &= state.measurements.usual
         degrees = len(np.unique(measurements.run[mine]))
         degrees -= len(np.unique(measurements.specimen[mine]))
         if scatter is None or degrees < FEWEST_DEGREES:

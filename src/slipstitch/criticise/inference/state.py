@@ -144,11 +144,6 @@ class State:
         """The features by protocol."""
         return self.weights.groups
 
-    @property
-    def keep(self) -> np.ndarray:
-        """(n,) features that are no outliers."""
-        return self.measurements.usual
-
     def outcome(
         self, rng: np.random.Generator, replicates: int, limits: tuple[float, ...] = ()
     ) -> Outcome:

@@ -81,7 +81,6 @@ def markdown(case: Case, verdict: dict, analysis: Analysis) -> str:
         _MARKDOWN,
         about=str(case.meta.get("about") or ""),
         measured=measured,
-        specimens=len(np.unique(measured.specimen)),
         traces=_traces(analysis),
         labels=_labels(analysis),
         covariates=COVARIATES,
@@ -102,7 +101,7 @@ def _traces(analysis: Analysis) -> list[tuple[str, str, float]]:
     ]
 
 
-def _labels(analysis: Analysis) -> list[tuple[str, list[tuple], str]]:
+def _labels(analysis: Analysis) -> list[tuple[str, list, str]]:
     """Friction by support, operator ...; an effect is told from specimens' scatter, if at all."""
     rows = analysis.measurements.rows
     residual, good = pictures.relative_residuals(analysis, analysis.null)

@@ -56,7 +56,7 @@ def relative_residuals(analysis: Analysis, fitted: Fit) -> tuple[np.ndarray, np.
     """Residuals in percent of friction, and the features for which that has a meaning."""
     m = analysis.measurements
     d = analysis.state.sensitivity
-    good = analysis.state.keep & ~m.lower_bound & (np.abs(d) > 2.0 * m.u)
+    good = analysis.state.measurements.usual & ~m.lower_bound & (np.abs(d) > 2.0 * m.u)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(good, 100 * (m.y - fitted.prediction) / d, np.nan), good
 
@@ -94,12 +94,13 @@ def series(axes, x, y, colour, label, seed=0):
 
 def _fits(analysis: Analysis, extended: Fit | None) -> list[tuple[Fit, str, str]]:
     """Each fit that is drawn, with its colour and label."""
-    fits = [(analysis.null, VERMILION, "plain Coulomb"), (extended, BLUE, "extended")]
-    return [entry for entry in fits if entry[0] is not None]
+    fits = [(analysis.null, VERMILION, "plain Coulomb")]
+    return fits if extended is None else [*fits, (extended, BLUE, "extended")]
 
 
 def _by_quantity(axes, analysis, fits):
-    quantity, keep = analysis.measurements.rows["quantity"].to_numpy(), analysis.state.keep
+    quantity = analysis.measurements.rows["quantity"].to_numpy()
+    keep = analysis.state.measurements.usual
     names = [name for name in QUANTITIES if (quantity == name).any()]
     for k, (fitted, colour, label) in enumerate(fits):
         z = standardised_residuals(analysis, fitted)
@@ -185,7 +186,7 @@ def prediction_picture(analysis: Analysis, extended: Fit | None) -> Figure:
     edges = np.linspace(-6, 6, 41).tolist()
     for fitted, colour, label in _fits(analysis, extended):
         z = standardised_residuals(analysis, fitted)
-        z = z[analysis.state.keep & ~analysis.measurements.lower_bound]
+        z = z[analysis.state.measurements.usual & ~analysis.measurements.lower_bound]
         if len(z):  # else bounds only
             axes.hist(
                 np.clip(z, -5.99, 5.99),
