@@ -5,7 +5,7 @@ import re
 from pathlib import Path
 
 import slipstitch
-from slipstitch.base.provenance.code import STAGES, code_sources
+from slipstitch.base.provenance.code import STAGES, code_digest
 
 SOURCE = Path(slipstitch.__file__).parent
 ROOT = SOURCE.parents[1]
@@ -67,4 +67,4 @@ def test_every_rule_digests_a_stage_that_is_there():
     }
     assert named <= set(STAGES)
     for stage in STAGES:
-        assert code_sources(stage), stage
+        assert code_digest(stage), stage

@@ -24,12 +24,11 @@ def digests_of(root: Path):
 
     They are remembered: all copies hold the same sources, but while they are edited.
     """
-    running = code._root
-    code._root = lambda given: running(given) if given is not None else root
+    running, code.RUNNING = code.RUNNING, root
     try:
         yield
     finally:
-        code._root = running
+        code.RUNNING = running
 
 
 def forget_digests() -> None:

@@ -1,6 +1,6 @@
 """Provenance of artefacts: atomic writes, code digests, records beside or inside files."""
 
-from slipstitch.base.provenance.code import code_digest, code_sources
+from slipstitch.base.provenance.code import code_digest
 from slipstitch.base.provenance.files import (
     atomic_path,
     check_image,

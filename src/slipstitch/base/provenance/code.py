@@ -13,7 +13,7 @@ from pathlib import Path
 
 from slipstitch.base.project import installed_version
 
-PACKAGE = "slipstitch"
+PACKAGE, RUNNING = "slipstitch", Path(__file__).resolve().parents[3]
 
 # Stage, as rules and records name it -> modules or packages below `slipstitch` that it starts from.
 STAGES: dict[str, tuple[str, ...]] = {
@@ -128,24 +128,15 @@ def _contents(stage: str, root: Path) -> tuple[dict[Path, str], frozenset[str]]:
     return {file: contents[file] for file in ordered}, frozenset(versions)
 
 
-def _root(root: str | Path | None) -> Path:
-    return Path(root) if root is not None else Path(__file__).resolve().parents[3]
-
-
-def code_sources(stage: str, root: str | Path | None = None) -> list[Path]:
-    """Return the files that the result of a stage of `STAGES` depends on, sorted by path.
-
-    The root is the folder that holds the package, the running one by default.
-    """
-    return list(_contents(stage, _root(root))[0])
-
-
 @functools.cache
 def code_digest(
     stage: str, root: str | Path | None = None, versions: tuple[tuple[str, str], ...] | None = None
 ) -> str:
-    """Return the SHA-256 of a stage's code: sources, and versions, by default those installed."""
-    base = _root(root)
+    """Return the SHA-256 of a stage's code: sources, and versions, by default those installed.
+
+    The root is the folder that holds the package, the running one by default.
+    """
+    base = Path(root or RUNNING)
     contents, packages = _contents(stage, base)
     digest = hashlib.sha256()
     for file, text in contents.items():
