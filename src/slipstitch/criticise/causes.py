@@ -78,10 +78,6 @@ class BenchMechanism(Mechanism):
         """Fields of :class:`Bench` that the parameter values set."""
         return {p.sets: p.to_si * values[p.name] for p in self.parameters}
 
-    def is_read_by(self, reads: tuple[str, ...]) -> bool:
-        """Does it set any of these fields of :class:`Bench`?"""
-        return any(parameter.sets in reads for parameter in self.parameters)
-
 
 def _error(name: str, scale: float, lower: float, upper: float) -> tuple[BenchParameter]:
     """Of a nominal value: true = nominal (1 + error)."""

@@ -184,9 +184,9 @@ class Measurements:
         static = self.rows["static"].to_numpy(bool)
         acts &= np.where(static, mechanism.acts(True), mechanism.acts(False))
         if cause in BENCH_MECHANISMS:
-            is_read_by = BENCH_MECHANISMS[cause].is_read_by
-            reads = [np.full(len(block.rows), is_read_by(block.READS)) for block in self.blocks]
-            acts &= np.concatenate(reads)
+            fields = {parameter.sets for parameter in BENCH_MECHANISMS[cause].parameters}
+            reads = [not fields.isdisjoint(block.READS) for block in self.blocks]
+            acts &= np.repeat(reads, [len(block.rows) for block in self.blocks])
         return acts
 
     def unrecorded(self, cause: str) -> np.ndarray:

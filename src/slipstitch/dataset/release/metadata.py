@@ -58,8 +58,11 @@ def _field(record_set: str, column: pa.Field, source: dict[str, str]) -> mlc.Fie
     )
 
 
-def croissant(folder: Path, facts: Mapping[str, Any]) -> mlc.Metadata:
-    """The metadata of the release in `folder`, its manifest and shards in it."""
+def croissant_text(folder: Path, facts: Mapping[str, Any]) -> str:
+    """Text of ``croissant.json``, which mlcroissant has checked; SlipstitchError if it is wrong.
+
+    It is of the release in `folder`, its manifest and shards in it.
+    """
     manifest = folder / MANIFEST
     shards = sorted(folder.glob(f"{FOLDER}/*.parquet"))
     parquet = "application/x-parquet"
@@ -95,27 +98,22 @@ def croissant(folder: Path, facts: Mapping[str, Any]) -> mlc.Metadata:
             (FRAMES, "The images of the videos, in order", shards[0], {"file_set": _SHARDS}, {}),
         )
     ]  # fmt: skip
-    return mlc.Metadata(
-        name=facts["name"],
-        description=facts["description"],
-        cite_as=facts["citation"],
-        creators=[mlc.Organization(name="The Slipstitch developers")],
-        date_published=datetime.datetime.fromisoformat(facts["date"]),
-        keywords=list(facts["keywords"]),
-        license=[facts["licence_url"]],
-        version=facts["version"],
-        distribution=distribution,
-        record_sets=sets,
-    )
-
-
-def croissant_text(folder: Path, facts: Mapping[str, Any]) -> str:
-    """Text of ``croissant.json``, which mlcroissant has checked; SlipstitchError if it is wrong."""
     try:
-        content = croissant(folder, facts).to_json()
+        metadata = mlc.Metadata(
+            name=facts["name"],
+            description=facts["description"],
+            cite_as=facts["citation"],
+            creators=[mlc.Organization(name="The Slipstitch developers")],
+            date_published=datetime.datetime.fromisoformat(facts["date"]),
+            keywords=list(facts["keywords"]),
+            license=[facts["licence_url"]],
+            version=facts["version"],
+            distribution=distribution,
+            record_sets=sets,
+        )
     except mlc.ValidationError as error:
         raise SlipstitchError(f"Croissant metadata is not valid: {error}") from None
-    return json.dumps(content, indent=1, ensure_ascii=False, default=str) + "\n"
+    return json.dumps(metadata.to_json(), indent=1, ensure_ascii=False, default=str) + "\n"
 
 
 PROFILES = {
