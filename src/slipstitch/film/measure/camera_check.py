@@ -28,14 +28,9 @@ class CameraCheck:
     outside: list[str]
     read: tuple[Path, ...]  # files that this was read from
 
-    @property
-    def pose(self) -> dict[str, float]:
-        """Pose of the camera relative to the calibrated viewpoint."""
-        return self.bench.pose
-
     def lines(self) -> list[str]:
         """The result for a terminal."""
-        lines = [in_words(name, self.pose[name], self.tested[name]) for name in POSE]
+        lines = [in_words(name, self.bench.pose[name], self.tested[name]) for name in POSE]
         lines.append(f"sees {100 * self.seen:.0f} % of the crop, at the worst time of the protocol")
         return lines + self.verdict()
 
@@ -43,7 +38,7 @@ class CameraCheck:
         """Whether the camera may be used."""
         if self.outside:
             return [f"OUTSIDE: {problem}" for problem in self.outside]
-        return [just_beyond(self.pose, self.tested) or "within the training range"]
+        return [just_beyond(self.bench.pose, self.tested) or "within the training range"]
 
 
 def check_camera(
@@ -94,9 +89,9 @@ def check_figure(check: CameraCheck) -> Figure:
         return float(np.hypot(*(place - aim)[:2])), float(place[2])
 
     here = eye(
-        yaw_deg=check.pose["yaw_deg"],
-        pitch_deg=check.pose["pitch_deg"],
-        distance=float(np.exp(check.pose["log_distance"])),
+        yaw_deg=check.bench.pose["yaw_deg"],
+        pitch_deg=check.bench.pose["pitch_deg"],
+        distance=float(np.exp(check.bench.pose["log_distance"])),
     )
     above, aside, roll = axes["above"], axes["aside"], axes["roll"]
     for view, drawn, name in ((above, from_above, "yaw_deg"), (aside, from_aside, "pitch_deg")):
@@ -120,7 +115,7 @@ def check_figure(check: CameraCheck) -> Figure:
     roll.axvspan(*limits("roll_deg", 0), color=BLUE, alpha=0.2, lw=0)
     for limit in limits("roll_deg", 1):
         roll.axvline(limit, color=BLUE, lw=1, ls="--")
-    roll.plot(check.pose["roll_deg"], 0, "o", color=colour, ms=7)
+    roll.plot(check.bench.pose["roll_deg"], 0, "o", color=colour, ms=7)
     roll.set(yticks=[], ylim=(-1, 1), xlabel=", ".join(TITLES["roll_deg"]))
     roll.spines["left"].set_visible(False)
     figure.suptitle("\n".join(check.verdict()), color=colour, fontsize=9)

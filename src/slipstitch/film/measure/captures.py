@@ -72,11 +72,6 @@ class MeasuredCaptures:
         """Why each of the other videos could not be measured."""
         return [problem for pair in self.pairs for problem in pair.measured.refused.values()]
 
-    @property
-    def instrument(self) -> str:
-        """What identifies the instrument."""
-        return self.videos[0].instrument
-
     def lines(self) -> list[str]:
         """The result for a terminal."""
         lines = [f"these are {self.caveat}"] if self.caveat else []

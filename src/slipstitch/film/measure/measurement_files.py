@@ -6,7 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import file_digest, provenance_record, write_json, write_text
@@ -15,6 +15,9 @@ from slipstitch.film.measure.measuring_bench import MeasuredVideo, MeasuringBenc
 from slipstitch.film.measure.pages import measurement_page, repeats_page
 from slipstitch.film.measure.repeats import Repeats, combined
 from slipstitch.learning.prediction import Prediction
+
+if TYPE_CHECKING:
+    from slipstitch.film.measure.captures import MeasuredCaptures
 
 COLUMNS = (
     *("video", "friction_coefficient", "interval_90_low", "interval_90_high"),
@@ -34,11 +37,6 @@ class MeasuredPair:
     def used(self) -> list[int]:
         """Which videos raised no alarm: the combined value rests on them."""
         return [index for index, video in enumerate(self.videos) if not video.alarm_reason]
-
-    @property
-    def instrument(self) -> str:
-        """What identifies the instrument."""
-        return self.videos[0].instrument
 
     @property
     def without_error_bar(self) -> str:
@@ -184,11 +182,6 @@ class Film:
     start_s: float | None = None
     frame_rate_hz: float | None = None
 
-    def measured(self) -> MeasuredVideo:
-        """Measure it; BadInput if it cannot be used."""
-        clock = {"start_s": self.start_s, "frame_rate_hz": self.frame_rate_hz}
-        return self.bench.measure(self.path, **clock)
-
 
 def measured_pair(films: Sequence[Film], names: Sequence[str]) -> MeasuredPair:
     """Measure videos of one pair as far as they can be, by their names."""
@@ -196,7 +189,8 @@ def measured_pair(films: Sequence[Film], names: Sequence[str]) -> MeasuredPair:
     refused: dict[str, str] = {}
     for name, film in zip(names, films, strict=True):
         try:
-            measured.append(replace(film.measured(), name=name))
+            clock = {"start_s": film.start_s, "frame_rate_hz": film.frame_rate_hz}
+            measured.append(replace(film.bench.measure(film.path, **clock), name=name))
         except BadInput as problem:
             refused[name] = str(problem)
     return MeasuredPair(measured, refused)
@@ -215,18 +209,8 @@ def measured_repeats(films: Sequence[Film]) -> MeasuredPair:
     return pair
 
 
-class Result(Protocol):
-    """What can be written: a measurement of a pair, or of several."""
-
-    @property
-    def instrument(self) -> str: ...
-    def page(self) -> str: ...
-    def numbers(self) -> dict[str, Any]: ...
-    def table(self) -> str: ...
-
-
 def write_measurements(
-    result: Result,
+    result: "MeasuredPair | MeasuredCaptures",
     read: Sequence[Path],
     started: tuple[float, float],
     *,
@@ -242,7 +226,7 @@ def write_measurements(
         return
     inputs = [path for path in read if Path(path).is_file()]
     record = provenance_record("measure", inputs=inputs, started=started)
-    record["instrument"] = result.instrument
+    record["instrument"] = result.videos[0].instrument
     if page_path:
         write_text(page_path, result.page(), record)
     if numbers_path:
