@@ -28,11 +28,11 @@ from slipstitch.base.provenance import (
 from slipstitch.config import write_config
 from slipstitch.config.simulation import SimulationSettings
 from slipstitch.design.grid import simulations
+from slipstitch.film.captures_scores import capture_errors
 from slipstitch.learning.evaluation.metrics import entry
 from slipstitch.learning.evaluation.paper import cumulative_error
 from slipstitch.learning.evaluation.test_sets import MIDDLE_FRAME
 from slipstitch.physics.simulation.trajectory import read_trajectory
-from slipstitch.report.captures import capture_errors
 from slipstitch.report.cost import benchmarks
 from slipstitch.report.dataset import dataset
 from slipstitch.report.headline import headline, share_interval

@@ -5,7 +5,6 @@ from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -25,10 +24,10 @@ from slipstitch.base.provenance import (
 from slipstitch.dataset.manifest import MANIFEST
 from slipstitch.dataset.videos import read_frames, read_videos
 from slipstitch.film.captures_scores import (
+    capture_errors,
     capture_metrics,
     label,
     pair_medians,
-    subsets,
     what_they_are,
 )
 from slipstitch.film.ingest_videos import CAPTURES, OF_CAPTURE, read_known
@@ -179,23 +178,15 @@ def _cumulative(found: Sequence[Mapping[str, Any]]) -> Figure:
     """
     figure = new_figure(7.6, 3.6)
     axes = figure.subplots()
-    off: dict[str, dict[str, np.ndarray]] = {}
-    for name, chosen in subsets(found).items():
-        part = [row for row, one in zip(found, chosen, strict=True) if one]
-        of_trainings = grouped(part, "model", "trained_on")
-        for (model, split), of_training in of_trainings.items():
-            if (model + CALIBRATED, split) in of_trainings:
-                continue
-            of_pairs = [
-                pair["error"]
-                for of_seed in grouped(of_training, "seed").values()
-                for pair in pair_medians(of_seed)
-            ]
-            off.setdefault(label(of_training[0]), {})[name] = np.array(of_pairs)
+    of_trainings = grouped(found, "model", "trained_on")
+    off = {
+        label(rows[0]): capture_errors(rows)
+        for (model, split), rows in of_trainings.items()
+        if (model + CALIBRATED, split) not in of_trainings
+    }
     largest = max(0.3, *(errors.max() for of_label in off.values() for errors in of_label.values()))
     for colour, (title, of_label) in zip(SERIES, off.items(), strict=False):
-        for name, errors in of_label.items():
-            kind = name.split("_")[1]
+        for kind, errors in of_label.items():
             draw_cumulative(
                 axes,
                 errors,
@@ -209,7 +200,7 @@ def _cumulative(found: Sequence[Mapping[str, Any]]) -> Figure:
     axes.set_xlabel("distance of a pair’s median µ from the reference interval")
     axes.set_ylabel("share of pairs")
     colours = axes.legend(fontsize=7.5, frameon=False, loc="lower right")
-    kinds = [name.split("_")[1] for name in subsets(found)]
+    kinds = next(iter(off.values()))
     if len(kinds) > 1:  # two short legends for a long one: colours, dashes
         lines = [Line2D([], [], color=INK, ls=_DASHES[kind], label=kind) for kind in kinds]
         axes.add_artist(colours)

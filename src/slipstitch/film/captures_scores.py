@@ -64,7 +64,7 @@ def pair_medians(rows: Sequence[Row]) -> list[dict[str, Any]]:
         median = float(np.median(friction))
         # The class of an instrument's continuous prediction is the nearest multiple of `STEP`.
         classes = friction if first["low"] is None else np.round(friction / STEP)
-        names = ("material", "substrate", "reflective", "mu_ref", "mu_ref_error")
+        names = ("material", "substrate", "reflective", "surrogate", "mu_ref", "mu_ref_error")
         result.append(
             {
                 "pair": pair,
@@ -76,6 +76,13 @@ def pair_medians(rows: Sequence[Row]) -> list[dict[str, Any]]:
             }
         )
     return result
+
+
+def capture_errors(rows: Sequence[Row]) -> dict[str, np.ndarray]:
+    """Return the errors of the pairs' medians, of all seeds of a model together, by subset."""
+    pairs = [pair for of_seed in grouped(rows, "seed").values() for pair in pair_medians(of_seed)]
+    off = np.array([pair["error"] for pair in pairs])
+    return {name.split("_")[1]: off[chosen] for name, chosen in subsets(pairs).items()}
 
 
 def capture_scores(rows: Sequence[Row]) -> dict[str, float]:

@@ -8,9 +8,9 @@ import numpy as np
 from slipstitch.base.page.figures import svg_uri
 from slipstitch.base.page.wording import NONE, percent
 from slipstitch.config.train import REFLECTIVE
-from slipstitch.film.captures_scores import model_and_split, subsets, what_they_are
+from slipstitch.film.captures_scores import capture_errors, model_and_split, what_they_are
 from slipstitch.learning.evaluation import paper
-from slipstitch.learning.evaluation.metrics import CAPTURES, distance, metrics_of
+from slipstitch.learning.evaluation.metrics import CAPTURES, metrics_of
 from slipstitch.learning.evaluation.scores import CALIBRATED
 from slipstitch.report import learning_pictures
 from slipstitch.report.results import Results, Table
@@ -86,15 +86,3 @@ def _captured(results: Results, rows: Sequence[Mapping[str, Any]], panels: Panel
             subset = CURVES[name.split("_")[1]]
             shown.append([subset, str(one["n"]), str(one.get("pairs") or NONE), *cells])
     return ["tested on", "videos", "pairs", *(metric.heading for metric in COLUMNS)], shown
-
-
-def capture_errors(rows: Sequence[Mapping[str, Any]]) -> dict[str, np.ndarray]:
-    """Errors of the pairs' medians, as the paper counts, of all seeds together, by subset."""
-    repeats: dict[tuple[int, str], list[Mapping[str, Any]]] = {}
-    for row in rows:
-        repeats.setdefault((row["seed"], row["pair"]), []).append(row)
-    pairs = [of_pair[0] for of_pair in repeats.values()]
-    read = [np.median([row["friction"] for row in of_pair]) for of_pair in repeats.values()]
-    known = ([pair[name] for pair in pairs] for name in ("mu_ref", "mu_ref_error"))
-    off = distance(read, *known)
-    return {name.split("_")[1]: off[chosen] for name, chosen in subsets(pairs).items()}

@@ -181,8 +181,8 @@ class Results:
 
     def capture_predictions(self) -> Rows | None:
         """Predictions of every model for every capture."""
-        columns = ["video", "pair", "mu_ref", "mu_ref_error", "reflective", "surrogate"]
-        columns += ["model", "trained_on", "seed", "friction"]
+        columns = ["video", "pair", "material", "substrate", "mu_ref", "mu_ref_error"]
+        columns += ["reflective", "surrogate", "model", "trained_on", "seed", "friction", "low"]
         return self._rows(columns, "captures", "predictions.parquet")
 
     def captures_of_other_networks(self) -> bool:
