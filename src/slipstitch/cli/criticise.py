@@ -93,7 +93,7 @@ def _validate(out: Path, case: Path) -> None:
 def predict(arguments: options.Arguments) -> None:
     """Predict a new case with the null and the extended model of a verdict."""
     from slipstitch.base.progress import note
-    from slipstitch.base.provenance import atomic_path
+    from slipstitch.base.provenance import write_text
     from slipstitch.criticise.case import read_case
     from slipstitch.criticise.prediction import predictions, read_verdict
 
@@ -101,6 +101,5 @@ def predict(arguments: options.Arguments) -> None:
     case = read_case(arguments.case, with_measurements=False)
     note(*case.notes)
     table = predictions(verdict, case)
-    with atomic_path(arguments.out) as temporary:
-        table.to_csv(temporary, index=False)
+    write_text(arguments.out, table.to_csv(index=False))
     print(f"{len(table)} predictions written to {arguments.out}")

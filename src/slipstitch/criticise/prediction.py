@@ -13,7 +13,7 @@ import pandas as pd
 from pydantic import BaseModel, Field, FiniteFloat, ValidationError, model_validator
 
 from slipstitch.base.errors import BadInput
-from slipstitch.base.provenance import atomic_path, file_digest, read_json, write_json
+from slipstitch.base.provenance import file_digest, read_json, write_json, write_text
 from slipstitch.criticise.case import Case, read_case
 from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.inference.discrepancy import predicted_with
@@ -209,8 +209,7 @@ def lock(verdict: dict, case_folder: Path, prediction: Path) -> dict:
             raise BadInput(f"{prediction}: locked for another campaign than {case_folder}: {other}")
         return kept
     table = predictions(verdict, case)
-    with atomic_path(prediction) as temporary:
-        table.to_csv(temporary, index=False)
+    write_text(prediction, table.to_csv(index=False))
     record = {
         "prediction_sha256": file_digest(prediction),
         "models_sha256": _digest(verdict),

@@ -10,7 +10,7 @@ import pandas as pd
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.progress import note
-from slipstitch.base.provenance import provenance_record, recorded_path, start_clock
+from slipstitch.base.provenance import provenance_record, start_clock, write_text
 from slipstitch.base.tables import NUMBER, as_number, read_cells, unit_of
 from slipstitch.physics import GRAVITY_M_S2
 
@@ -75,8 +75,7 @@ def import_trace(path: Path, columns: Mapping[str, str], units: tuple[str, ...],
     notes = list(_of_clock(path, np.diff(trace.get("t_s", np.zeros(0)))))
     content = _with_strokes(pd.DataFrame(trace))
     record = provenance_record("capture", inputs=[path], started=started)
-    with recorded_path(out, record) as temporary:
-        content.to_csv(temporary, index=False, float_format="%.9g")
+    write_text(out, content.to_csv(index=False, float_format="%.9g"), record)
     note(*table.notes, *notes)
     return f"{len(content)} readings of {', '.join(columns)}"
 

@@ -19,9 +19,9 @@ from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import (
     atomic_path,
     provenance_record,
-    recorded_path,
     start_clock,
     write_sidecar,
+    write_text,
 )
 from slipstitch.config import Config
 from slipstitch.config.catalogue import FLOORS
@@ -221,8 +221,7 @@ def write_bench(config: Config, folder: str | Path) -> None:
     write_camera_file(folder / "camera.json", camera)
     write_sidecar(folder / "camera.json", record)
     for name, rows in tables.items():
-        with recorded_path(folder / name, record) as temporary:
-            pandas.DataFrame(rows).to_csv(temporary, index=False)
+        write_text(folder / name, pandas.DataFrame(rows).to_csv(index=False), record)
 
 
 def make_film(config: Config, film: Film, out: str | Path, progress=iter) -> int:
