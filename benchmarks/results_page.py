@@ -173,13 +173,19 @@ def paper_coefficients():
     of_split = predictions[predictions["split"] == "by_video"]
     of_friction = of_split["simulation"].str.split("_").str[1]
     right = of_split["true"] == of_split["predicted"]
-    share = right.groupby([of_split["network"], of_friction]).mean()
-    rows = [
-        [f"{one['value']:g}", f"{1e3 * tail_moves_m(one['value']):.1f}",
-         f"{share['friction_conditional', one['id']]:.0%}",
-         f"{share['material_baseline', one['id']]:.0%}"]
-        for one in details["classes"]
-    ]  # fmt: skip
+    values = {one["id"]: one["value"] for one in details["classes"]}
+    dragged = [value for value in values.values() if value >= FRICTION]
+    groups = [*((value,) for value in values.values() if value < FRICTION), dragged]
+    rows = []
+    for group in groups:
+        mine = of_friction.map(values).isin(group)
+        share = right[mine].groupby(of_split["network"]).mean()
+        ends = sorted({group[0], group[-1]})
+        rows.append(
+            [" … ".join(f"{value:g}" for value in ends),
+             " … ".join(f"{1e3 * tail_moves_m(value):.1f}" for value in ends),
+             f"{share['friction_conditional']:.0%}", f"{share['material_baseline']:.0%}"]
+        )  # fmt: skip
     return table("μ|tail's move per 0.1 of μ, mm|μ right|fabric right", rows)
 
 
