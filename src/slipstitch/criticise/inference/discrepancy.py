@@ -28,6 +28,7 @@ from slipstitch.criticise.inference.smooth_factor import (
     track_along,
 )
 from slipstitch.criticise.inference.state import State, ratios_of
+from slipstitch.criticise.inference.structure import SIGNIFICANCE
 from slipstitch.criticise.measurements import Measurements
 
 AS_WELL_BIC, MOST_EDGES, LEAST_FACTOR = 2.0, 40, 0.02
@@ -35,7 +36,6 @@ AS_WELL_BIC, MOST_EDGES, LEAST_FACTOR = 2.0, 40, 0.02
 SYMBOLS = {"pos_x_mm": "x", "clock_min": "t", "speed_mm_s": "v", "load_ratio": "p/p0"}
 REFERENCE = {"speed_mm_s": 10.0, "load_ratio": 1.0}
 ALONG = ("pos_x_mm", "clock_min", "speed_mm_s", "load_ratio")
-SIGNIFICANCE = 0.04
 REACH = 1.96  # of a 95 % band, in standard deviations
 
 
