@@ -72,7 +72,8 @@ class RenderSettings(Section):
     frames: Literal["sampled", "all"] = "sampled"
     """render only the frames that the sample stage uses, or every frame"""
     floors: Floors = Field(["matte"], min_length=1)
-    """floors by name; each fabric and replicate draws one, with its roughness and reflectance"""
+    """floors by name; each fabric and replicate, with `bench_…` cameras each film, draws one, with
+    its roughness and reflectance"""
     reflective_floors: Floors = []
     """floors of a second training set: the same simulations once more, from the training viewpoints
     in the training textures, each drawing a floor of these for every viewpoint; their ids follow

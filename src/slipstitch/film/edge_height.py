@@ -2,7 +2,7 @@
 
 Between drop and drag the cloth rests at the track's beginning; later, with the stage far ahead, the
 camera sees what lies behind its upper edge. The difference of the two is nothing above the edge and
-something below, whatever cloth and floor look like. The edge hangs through between the holders,
+something below, whatever cloth and floor look like. The edge hangs through between the clamps,
 which may hide their corners: its curve is fitted between them and continued to them.
 """
 
@@ -24,7 +24,7 @@ _REST_S = 0.35
 # So far along the track, the cloth no longer covers what is behind its upper edge at rest.
 _CLEAR_M = 0.1
 _MOST_BEHIND = 12  # frames: more would take longer and tell no more
-# Where the edge is looked for: between the holders, and above and below the height that it should
+# Where the edge is looked for: between the clamps, and above and below the height that it should
 # have, on a grid this fine across and upwards.
 _SPAN_M, _ABOVE_M, _BELOW_M = SIDE_M / 2 - TAB_M - 0.004, 0.009, 0.020
 _ACROSS_M, _UP_M = 0.002, 0.0005
@@ -36,7 +36,7 @@ _SHAPE_SD_M = 0.0002
 _BLOCKS = 8
 # An edge explains so much of the light in at least so many of the columns, or is none.
 _EXPLAINED, _SHARE = 0.5, 0.4
-# Nor is an edge that rises by more from the middle to a holder: they are level within half of it.
+# Nor is an edge that rises by more from the middle to a clamp: they are level within half of it.
 _RISE_MM = 1.0
 
 

@@ -63,7 +63,7 @@ def finished_files(config: Config) -> dict[str, str]:
     return files
 
 
-def is_published(config: Config, to: str) -> bool:
+def _is_published(config: Config, to: str) -> bool:
     """Whether a file of a run is published itself: of weights those of the model that ships.
 
     That is the average of the instruments, or the only one.
@@ -113,7 +113,7 @@ def publish(
             pandas.DataFrame(solved).to_csv(folder / "simulations.csv", index=False)
         write_json(folder / "origin.json", dict(found.provenance()))
         for to, path in there.items():
-            _copy(path, folder / to, is_published(config, to))
+            _copy(path, folder / to, _is_published(config, to))
             if path.name == MANIFEST:
                 _describe_dataset(path.parent, (folder / to).parent)
         if update:
@@ -305,7 +305,7 @@ def _copy(source: Path, to: Path, published: bool = True) -> None:
         return
     if source.suffix == ".parquet" and source.name != MANIFEST and source.is_file():
         columns = {one.path: one.physical_type for one in pq.read_metadata(source).schema}
-        # Predictions are doubles, rounded; what calibrates is not.
+        # Probabilities of predictions are doubles, rounded; those that calibrate are floats, whole.
         unrounded = [path for path, kind in columns.items() if kind == "FLOAT"]
         others = [path for path in columns if path not in unrounded]
         stored = {"use_dictionary": others, "use_byte_stream_split": unrounded}
