@@ -47,6 +47,8 @@ _START_SD_S = 0.03
 # Errors of places this near in time are not independent: the cloth keeps its shape.
 _BLOCK_S = 10.0
 _FEWEST_PLACES = 12
+# The share of the frames in which the edge must be recognised; at the end of the rates tried.
+_LEAST_SHARE, _SHARE_AT_END = 0.3, 0.6
 # What images this many seconds apart differ by more than images one second apart: noise and flicker
 # cancel. Where the stage moves, it is 0.4 of the most or more (surrogate films); where it stands,
 # 0.01 or less, with noise of 12 of 255 and 5 % flicker too.
@@ -196,10 +198,13 @@ class StageFollower:
         time_s = np.array([one for one, _ in self._seen])
         likeness = np.array([one for _, one in self._seen])
         scores = [np.nanmean(self._at(likeness, rate * time_s)) for rate in _RATES]
-        rate = float(_RATES[int(np.argmax(scores))])
-        place_m, best = self._peaks(likeness, self._commanded_m(rate * time_s))
-        good = best > _LEAST_LIKENESS
-        if good.sum() < max(_FEWEST_PLACES, 0.3 * len(good)):
+        best = int(np.argmax(scores))
+        # At an end there is no peak: likeness that changes with the place alone is best there, too.
+        share = _SHARE_AT_END if best in (0, len(_RATES) - 1) else _LEAST_SHARE
+        rate = float(_RATES[best])
+        place_m, height = self._peaks(likeness, self._commanded_m(rate * time_s))
+        good = height > _LEAST_LIKENESS
+        if good.sum() < max(_FEWEST_PLACES, share * len(good)):
             return None
         found = _fit(time_s[good], place_m[good], rate, self._path)
         scatter_m = 1.4826 * float(np.median(np.abs(found.offset_m)))
