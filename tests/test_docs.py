@@ -40,12 +40,20 @@ def test_the_results_are_written_from_published_files():
     assert answer.returncode == 0, answer.stdout + answer.stderr
 
 
-def test_the_five_figures_of_the_readme_are_published():
+def test_the_figures_of_the_readme_are_published():
     networks = published("paper/metrics.json")["by_video"]
+    films = {
+        name: found["median_within_0.1"]
+        for run in ("paper", "paper_reflective")
+        for name, found in published(f"{run}/captures/metrics.json")["surrogate_all"].items()
+    }
+    conditional = "lrcn_conditional_calibrated, trained by_video"
     instrument = published("instrument/details.json")["by_simulation"]["instrument_ensemble"]
     figures = {
         "network": f"{networks['lrcn_conditional']['friction_lt_0.1']:.0%}",
         "probe": f"{networks['probe_middle_frame']['friction_lt_0.1']:.0%}",
+        "films, matte training": f"{films[conditional]:.0%}",
+        "films, reflective training": f"{films[conditional + '_reflective']:.0%}",
         "known": f"{instrument['mean']['mean_absolute_error']:.3f}",
         "coverage": f"{instrument['mean']['coverage_90']:.0%}",
         "other": f"{published('camera/drawn_fabrics.json')['all']['mean_absolute_error']:.3f}",
