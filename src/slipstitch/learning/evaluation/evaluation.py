@@ -224,7 +224,8 @@ def write_evaluation(
         key=lambda row: (order.index(row["split"]), place_in_tables(row["network"])),
     )
     for row in found:
-        if row["probabilities"] is not None:
+        # Of averages an update computes intervals from them again.
+        if row["probabilities"] is not None and row["network"] != AVERAGE:
             row["probabilities"] = np.round(row["probabilities"], PROBABILITY_DECIMALS).tolist()
     metrics = metrics_of_table(found, table.models)
     of_video = {row["video"]: row for row in rows}
