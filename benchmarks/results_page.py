@@ -20,7 +20,7 @@ from slipstitch.config import load_config
 from slipstitch.criticise.verdict import RULES
 from slipstitch.design.grid import simulations
 from slipstitch.design.stage_path import StagePath
-from slipstitch.film.captures_scores import model_and_split
+from slipstitch.film.captures_scores import label, model_and_split
 from slipstitch.film.measure import SHIPPED
 from slipstitch.film.measure.clamp_height import ClampHeight
 from slipstitch.learning.evaluation import paper as printed
@@ -41,6 +41,7 @@ CONFIG_PAGE = ROOT / "docs" / "config.md"
 SCHEMA = ROOT / "workflow/schemas/config.schema.json"
 CARD = ROOT / "src/slipstitch/film/measure/shipped/MODEL_CARD.md"
 FRICTION = 0.5  # at which relative errors are told
+DRAGGED = 0.5  # from here on, coefficients share a row: all cloths are dragged
 INTERVAL_SCORES = "mean error of μ|within 0.1|90 % intervals that hold|their mean width"
 NETWORKS = {
     "material_baseline": "fabric",
@@ -137,11 +138,9 @@ def paper_unseen():
 
 def paper_captures():
     """Return how many pairs of surrogate films are read to a tenth, beside real ones."""
-    runs = [
-        read(f"{run}/captures/metrics.json")
-        for run in ("paper", "paper_reflective")
-        if (PUBLISHED / run / "captures").is_dir()
-    ]
+    matte, reflective = (
+        read(f"{run}/captures/metrics.json") for run in ("paper", "paper_reflective")
+    )
     subsets, score = ("all", "matte", "reflective"), "median_within_0.1"
     rows = []
     for words, names in (
@@ -151,16 +150,17 @@ def paper_captures():
         shares = [printed.CAPTURES.get(name, {}).get(score) for name in names]
         cells = ["" if one is None else f"{100 * one:.1f}" for one in shares]
         rows.append([words, printed.CAPTURES_PAIRS, *cells])
-    labels = {label: found for found in runs for label in found["surrogate_all"]}
-    for label in sorted(labels, key=lambda one: one.startswith(SHIPPED_MODEL)):
-        found = labels[label]
-        model, split = model_and_split(label)
-        if any((model + CALIBRATED, split) == model_and_split(other) for other in labels):
+    ours = [
+        matte[name] | reflective[name] for name in (f"surrogate_{subset}" for subset in subsets)
+    ]
+    for labelled in sorted(ours[0], key=lambda one: one.startswith(SHIPPED_MODEL)):
+        model, split = model_and_split(labelled)
+        if label({"model": model + CALIBRATED, "trained_on": split}) in ours[0]:
             continue  # captures show the view that it was fine-tuned on
-        of_all = found["surrogate_all"][label]
         title = model_title(model.removesuffix(CALIBRATED))
         words = title if model == SHIPPED_MODEL else f"{title}, {SPLIT_NAMES[split]}"
-        cells = [f"{100 * found[f'surrogate_{name}'][label][score]:.1f}" for name in subsets]
+        of_all = ours[0][labelled]
+        cells = [f"{100 * of_subset[labelled][score]:.1f}" for of_subset in ours]
         rows.append([words, of_all["pairs"], *cells])
     each = of_all["n"] // of_all["pairs"]
     return table(f"%; ours: {each} simulated films|pairs|all|not reflective|reflective", rows)
@@ -174,8 +174,8 @@ def paper_coefficients():
     of_friction = of_split["simulation"].str.split("_").str[1]
     right = of_split["true"] == of_split["predicted"]
     values = {one["id"]: one["value"] for one in details["classes"]}
-    dragged = [value for value in values.values() if value >= FRICTION]
-    groups = [*((value,) for value in values.values() if value < FRICTION), dragged]
+    dragged = [value for value in values.values() if value >= DRAGGED]
+    groups = [*((value,) for value in values.values() if value < DRAGGED), dragged]
     rows = []
     for group in groups:
         mine = of_friction.map(values).isin(group)

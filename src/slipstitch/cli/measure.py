@@ -101,7 +101,7 @@ def _check_captures(arguments: options.Arguments) -> None:
     for name in sorted(options.written(measure)):
         file = getattr(arguments, name)
         if file is not None and Path(file).resolve() in named:
-            raise BadInput(f"--{name} {file}: {arguments.captures} names this file")
+            raise BadInput(f"{options.flag(name)} {file}: {arguments.captures} names this file")
 
 
 def _check(arguments: options.Arguments) -> None:

@@ -304,12 +304,7 @@ def _copy(source: Path, to: Path, published: bool = True) -> None:
         write_json(to, _without_runs(read_json(source)))
         return
     if source.suffix == ".parquet" and source.name != MANIFEST and source.is_file():
-        columns = {one.path: one.physical_type for one in pq.read_metadata(source).schema}
-        # Probabilities of predictions are doubles, rounded; those that calibrate are floats, whole.
-        unrounded = [path for path, kind in columns.items() if kind == "FLOAT"]
-        others = [path for path in columns if path not in unrounded]
-        stored = {"use_dictionary": others, "use_byte_stream_split": unrounded}
-        pq.write_table(read_parquet(source), to, compression="zstd", **stored)
+        pq.write_table(read_parquet(source), to, compression="zstd", use_dictionary=False)
     elif published and source.is_file():
         shutil.copyfile(source, to)
     # The record of a model's card and curve is that of its weights.

@@ -310,7 +310,8 @@ def fitted_pairs(judge: Judge, singles: list[Candidate], left: Outcome) -> list[
                 promise[pair] = max(promise.get(pair, 0.0), single.credit + ratio)
 
     offer(singles[0], left.tests, np.where(np.isfinite(left.log_p), left.statistic, np.nan))
-    beside_best, most = sorted(promise, key=lambda pair: (-promise[pair], pair))[:6], 5
+    beside_best = sorted(promise, key=lambda pair: (-promise[pair], pair))[:6]
+    most = 5
     if left.global_p < 0.3:
         for single in singles[1:4]:
             offer(single, *_beside(judge, single))
