@@ -315,8 +315,12 @@ def test_an_update_keeps_what_the_results_have_no_longer(run, tmp_path):
 
 
 @pytest.mark.parametrize("same", [True, False])
-def test_an_update_takes_the_same_images_in_other_files(run, tmp_path, same):
-    """As when the simulations were filmed again where another network was trained."""
+@pytest.mark.parametrize("rendered", [True, False])
+def test_an_update_takes_the_same_images_in_other_files(run, tmp_path, same, rendered):
+    """As when the simulations were filmed again where another network was trained.
+
+    What the images were made from stays known when the renders have been deleted since.
+    """
     results, out = tmp_path / run.name, tmp_path / "out"
     shutil.copytree(run, results)
     weights, manifest = results / WEIGHTS, f"{run.name}/sample/manifest.parquet"
@@ -328,17 +332,21 @@ def test_an_update_takes_the_same_images_in_other_files(run, tmp_path, same):
         write_sidecar(weights, record)
         publish(CONFIG, run.name, out)
         found = audit_published(out).findings  # weights that are text have no dataset
+        lineage = content(out, "dataset/lineage.json")
         before = file_digest(manifest)
         write_manifest(rows, results / "sample", {"stage": "sample", "wall_s": 1.0})
         assert file_digest(manifest) != before
         evaluate(results)
         shutil.rmtree(weights.parent)  # on the first machine
+        if not rendered:
+            shutil.rmtree(results / "render")
         assert not publish(CONFIG, run.name, out, update=True)["partial"]
     assert all(any(folder.iterdir()) for folder in out.rglob("*") if folder.is_dir())
     digests = content(out, "dataset/digests.json")
     shards = (results / "sample").glob("m0*.parquet")
     assert digests["digest"] == digest
     assert digests["files"] == {path.name: file_digest(path) for path in shards}
+    assert content(out, "dataset/lineage.json") == lineage
     new = [one for one in audit_published(out).findings if one not in found]
     assert [(one.where, one.what) for one in new] == (
         []

@@ -201,8 +201,10 @@ def _keep(
     manifests = [one / "dataset" / MANIFEST for one in (before, folder)]
     again = all(map(Path.is_file, manifests)) and len({*map(file_digest, manifests)}) > 1
     for name in (*_OF_ALL, *(["config.json"] if same else [])):
-        # Filmed again, the images are in other files; those of the new manifest are described.
-        if (before / name).is_file() and not (again and name.startswith("dataset/")):
+        # Filmed again, the images are in other files; those of the new manifest are described,
+        # unless what they were made from is gone: that of the same images stays.
+        anew_described = again and name.startswith("dataset/") and (folder / name).is_file()
+        if (before / name).is_file() and not anew_described:
             shutil.copyfile(before / name, folder / name)
     # Records of what is there again, but not published anew, are not those of the published files.
     origin = {name: one for name, one in read_json(folder / "origin.json").items() if name in anew}
