@@ -15,21 +15,12 @@ from slipstitch.images.camera import Camera
 
 start_warp()
 
-_KINDS = {
-    wp.int32: np.int32,
-    wp.vec2i: np.int32,
-    wp.vec3i: np.int32,
-    wp.vec3: np.float32,
-    wp.float64: np.float64,
-    wp.vec2d: np.float64,
-}
 # A camera's rays come in tiles of 4 or 8 a side, within which no two share a row or a column.
 _SHUFFLE = {4: np.array([1, 3, 0, 2]), 8: np.array([1, 4, 7, 2, 5, 0, 3, 6])}
 
 
 def warp_array(values: np.ndarray, dtype) -> wp.array:
     """The same numbers for Warp; the same memory, where the types agree."""
-    values = np.ascontiguousarray(values, _KINDS[dtype])
     return wp.array(values, dtype=dtype, device="cpu", copy=False)
 
 
@@ -124,26 +115,13 @@ def sees_quad(corners_m: np.ndarray, camera: Camera, tile: int = 4) -> np.ndarra
     edges = np.roll(corners, -1, axis=0) - corners
     turn = np.sign(edges[0, 0] * edges[1, 1] - edges[0, 1] * edges[1, 0])
 
-    def depth(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-        """How far inside each edge the points lie, times its length; shape (4, ...)."""
-        sides = zip(corners, edges, strict=True)
-        return turn * np.stack(
-            [
-                along_x * (y - from_y) - along_y * (x - from_x)
-                for (from_x, from_y), (along_x, along_y) in sides
-            ]
-        )
-
-    # Most tiles lie wholly inside or outside. Only in the others is every ray asked.
-    tiles = camera.pixels // tile
-    middle = np.arange(tiles) * tile + (tile - 1) / 2
-    depths = depth(*np.meshgrid(middle, middle))
-    reach = (np.abs(edges).sum(axis=1) * tile / 2 * (1 + 1e-9))[:, None, None]
-    inside = (depths > reach).all(axis=0)
-    rows, columns = np.nonzero(~inside & (depths >= -reach).all(axis=0))
-    result = inside.repeat(tile, axis=0).repeat(tile, axis=1)
-    y = rows[:, None, None] * tile + np.arange(tile)[:, None]
-    x = columns[:, None, None] * tile + np.arange(tile)
-    y, x = np.broadcast_arrays(y, x)
-    result[y, x] = (depth(*ray_places(x, y, tile)) >= 0).all(axis=0)
+    pixel = np.arange(camera.pixels)
+    # By how much a row shifts its rays in x, and a column its rays in y.
+    shift, _ = ray_places(np.zeros_like(pixel), pixel, tile)
+    result = np.ones((camera.pixels, camera.pixels), bool)
+    for (from_x, from_y), (along_x, along_y) in zip(corners, turn * edges, strict=True):
+        # How far inside the edge a ray lies is a sum: a part of its row, one of its column.
+        of_row = along_x * (pixel - from_y) - along_y * shift
+        of_column = along_x * shift - along_y * (pixel - from_x)
+        result &= of_row[:, None] >= -of_column
     return result
