@@ -73,15 +73,15 @@ def _digest(notes: dict[str, str], tensors: dict[str, torch.Tensor]) -> str:
 
 def load_checkpoint(
     path: Path, identity: dict[str, Any], network: nn.Module, optimizer: torch.optim.Optimizer
-) -> tuple[Progress | None, str]:
+) -> tuple[Progress, str]:
     """Put a training back where a checkpoint left it, and count the time that it took until then.
 
-    Returns the progress, None if there is nothing to go on from (network, optimiser and random
-    numbers are untouched then), and what happened, to be shown; empty if there is no
+    Returns the progress, that of a start if there is nothing to go on from (network, optimiser and
+    random numbers are untouched then), and what happened, to be shown; empty if there is no
     checkpoint.
     """
     if not path.is_file():
-        return None, ""
+        return Progress(), ""
     try:
         with safe_open(path, "pt") as file:
             notes = dict(file.metadata() or {})
@@ -92,12 +92,10 @@ def load_checkpoint(
         same = json.loads(notes["identity"]) == json.loads(json.dumps(identity))
         wall_s, cpu_s = json.loads(notes["taken_s"])
     except (SafetensorError, KeyError, TypeError, ValueError, RecursionError):
-        return None, f"{path}: no readable checkpoint; starting from scratch"
+        return Progress(), f"{path}: no readable checkpoint; starting from scratch"
     if not same:
-        return (
-            None,
-            f"{path}: from another training (data, settings or code differ); starting from scratch",
-        )
+        why = "from another training (data, settings or code differ)"
+        return Progress(), f"{path}: {why}; starting from scratch"
     weights, progress.kept = (
         {name.removeprefix(of): value for name, value in tensors.items() if name.startswith(of)}
         for of in ("network.", "kept.")

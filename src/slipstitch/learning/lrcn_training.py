@@ -243,11 +243,12 @@ def _train_and_write(
     fine_tunes = trainer.phases[-1].name == FINE_TUNING
     trainer.keeps_before_last = trainer.settings.keep_all_views and fine_tunes
     trainer.train()
-    if trainer.kept:
+    done = trainer.progress
+    if done.kept:
         files += [f"{ALL_VIEWS}/{name}" for name in files]
-        before = [row for row in trainer.history if row["stage"] != FINE_TUNING]
-        save(trainer.kept, before, Path(run.out) / ALL_VIEWS)
-    card = save(trainer.network.state_dict(), trainer.history, Path(run.out))
+        before = [row for row in done.history if row["stage"] != FINE_TUNING]
+        save(done.kept, before, Path(run.out) / ALL_VIEWS)
+    card = save(trainer.network.state_dict(), done.history, Path(run.out))
     trainer.write_record(files, told)
     return card
 

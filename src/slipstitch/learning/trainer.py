@@ -137,8 +137,7 @@ class Trainer:
         # whether convolutions are derived in bfloat16
         self.bfloat16 = computes_bfloat16(settings.precision)
         self.out = Path(run.out)
-        self.history: list[dict[str, Any]] = []  # a row per finished epoch
-        self.kept: dict[str, Tensor] = {}
+        self.progress = Progress()
 
     def videos_of(self, phase: Phase) -> tuple[np.ndarray, np.ndarray]:
         """Return the numbers of the videos that train in a phase, and of those that validate it."""
@@ -192,40 +191,40 @@ class Trainer:
         most = sum(phase.epochs for phase in self.phases)
         left_chance = (1.0 - (self.settings.plateau_margin or 0.0)) * self.chance_loss
         self.identity = self._identity()
-        progress, message = load_checkpoint(
+        self.progress, message = load_checkpoint(
             self.out / CHECKPOINT, self.identity, self.network, self.optimizer
         )
-        progress = progress or Progress()
         if message:
             print(message, file=sys.stderr)
         self.saved_at = time.monotonic()
         told = {"desc": self.name, "unit": "epoch", "disable": not sys.stderr.isatty()}
-        bar = tqdm(total=most, initial=progress.epoch, **told)
-        self.history, self.kept = progress.history, progress.kept
-        following = place(self.phases, self.history, left_chance)
+        bar = tqdm(total=most, initial=self.progress.epoch, **told)
+        following = place(self.phases, self.progress.history, left_chance)
         while following is not None:
             phase, epoch = following
-            self.history = [*progress.history, self._epoch(progress, phase, epoch)]
-            following = place(self.phases, self.history, left_chance)
+            history = [*self.progress.history, self._epoch(phase, epoch)]
+            following = place(self.phases, history, left_chance)
+            kept = self.progress.kept
             # In the checkpoint, not beside: Snakemake removes the files of an unfinished job.
             if self.keeps_before_last and following == (self.phases[-1], 0):
                 weights = self.network.state_dict()
-                self.kept = {name: value.clone() for name, value in weights.items()}
-            progress = Progress(epoch=progress.epoch + 1, history=self.history, kept=self.kept)
+                kept = {name: value.clone() for name, value in weights.items()}
+            self.progress = Progress(epoch=len(history), history=history, kept=kept)
             self._print_epoch(phase, most, bar)
-            if following is None or progress.epoch == self.plateau_epochs:
+            if following is None or len(history) == self.plateau_epochs:
                 self._check_plateau()
         bar.close()
 
-    def _epoch(self, progress: Progress, phase: Phase, epoch: int) -> dict[str, Any]:
+    def _epoch(self, phase: Phase, epoch: int) -> dict[str, Any]:
         """Take the remaining steps of an epoch; return its row of the history."""
+        progress = self.progress
         training, validating = self.videos_of(phase)
         order = np.random.default_rng([self.run.seed, progress.epoch]).permutation(training)
         size = self.settings.batch_size
         self.network.train()
         while (first := progress.step * size) < len(order):
             rate = self.learning_rate(phase, epoch, progress.step, len(order))
-            self._step(progress, order[first : first + size], rate)
+            self._step(order[first : first + size], rate)
             if time.monotonic() - self.saved_at >= self.settings.checkpoint_interval_s:
                 path, learnt = self.out / CHECKPOINT, (self.network, self.optimizer)
                 save_checkpoint(path, self.identity, progress, *learnt, self.started)
@@ -242,8 +241,9 @@ class Trainer:
             "chance_loss": self.chance_loss,
         }
 
-    def _step(self, progress: Progress, batch: np.ndarray, rate: float) -> None:
+    def _step(self, batch: np.ndarray, rate: float) -> None:
         """Take a step; add its sums to the progress."""
+        progress = self.progress
         for group in self.optimizer.param_groups:
             group["lr"] = rate
         generator = np.random.default_rng([self.run.seed, progress.epoch, progress.step])
@@ -264,10 +264,10 @@ class Trainer:
 
     def _print_epoch(self, phase: Phase, epochs: int, bar: tqdm) -> None:
         """Show an epoch's end: the curve so far in a terminal, a line elsewhere."""
-        row = self.history[-1]
+        row = self.progress.history[-1]
         summary = self.summary(row)
         bar.update()
-        losses = curve([past["train_loss"] for past in self.history])
+        losses = curve([past["train_loss"] for past in self.progress.history])
         bar.set_postfix_str(f"{losses} loss {row['train_loss']:.4f}, {summary}")
         if bar.disable:
             epoch = " ".join(filter(None, (f"epoch {row['epoch']}/{epochs}", phase.name)))
@@ -279,13 +279,13 @@ class Trainer:
 
     def _check_plateau(self) -> None:
         """Fail if the loss of the last epochs is still that of guessing."""
-        recent = self.history[-self.plateau_window :]
+        recent = self.progress.history[-self.plateau_window :]
         videos = sum(row["videos"] for row in recent)
         loss = sum(row["train_loss"] * row["videos"] for row in recent) / videos
         margin = self.settings.plateau_margin
         if margin is not None and loss > (1.0 - margin) * self.chance_loss:
             raise PlateauError(
-                f"{self.name}: after {len(self.history)} epochs the training loss is still "
+                f"{self.name}: after {self.progress.epoch} epochs the training loss is still "
                 f"{loss:.4f}, at chance ({self.chance_loss:.4f}): the network did not learn, no "
                 f"model is written ({self.plateau_hint})"
             )
@@ -312,9 +312,9 @@ class Trainer:
             atomic_path(self.out / HISTORY) as temporary,
             open(temporary, "w", newline="") as stream,
         ):
-            writer = csv.DictWriter(stream, list(self.history[0]))
+            writer = csv.DictWriter(stream, list(self.progress.history[0]))
             writer.writeheader()
-            writer.writerows(self.history)
+            writer.writerows(self.progress.history)
         shards = sorted({row["file"] for row in self.videos.rows})
         inputs = [Path(run.dataset) / name for name in (MANIFEST, *shards)]
         made = {"config": {stage: self.settings}, "seed": run.seed, "started": self.started}

@@ -289,7 +289,7 @@ def train_instrument(
         ),
         "interpolated_videos": sum(bool(row.get("interpolated")) for row in videos.rows),
         "calibration_simulations": len(simulations(videos, ~training)),
-        **trainer.facts(trainer.history),
+        **trainer.facts(trainer.progress.history),
         "use": "measures friction in drop-and-drag videos recorded as in this dataset; for other "
         "videos it should raise its alarm, and its intervals are not valid",
     }
