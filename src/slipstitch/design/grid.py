@@ -3,25 +3,21 @@
 The ids and what they mean are kept in ``results/grid.parquet``.
 """
 
-from __future__ import annotations
-
 import hashlib
 import math
 import os
 import re
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance.record import provenance_record, start_clock, write_parquet
 from slipstitch.config.catalogue import VIEWPOINTS, fabric_names
-
-if TYPE_CHECKING:
-    from slipstitch.config.model import Config
-    from slipstitch.config.render import RenderSettings
-    from slipstitch.config.simulation import GridSettings
+from slipstitch.config.model import Config
+from slipstitch.config.render import RenderSettings
+from slipstitch.config.simulation import GridSettings
 
 
 @dataclass(frozen=True)

@@ -7,26 +7,20 @@ put the mean five times as far off. Only films that train show such cloths, and 
 that train are their parents: what is tested and calibrated with is simulated.
 """
 
-from __future__ import annotations
-
 import hashlib
 import itertools
 import math
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from slipstitch.config.catalogue import VIEWPOINTS
+from slipstitch.config.model import Config
 from slipstitch.design.grid import Simulation, simulations, viewpoint_ids
 from slipstitch.design.splits import sides_of_simulations
 from slipstitch.design.stage_path import SIDE_M, StagePath
-
-if TYPE_CHECKING:
-    from slipstitch.config.model import Config
-
 
 # Below, a cloth is pushed ahead, or falls to this side or the other, and nothing is smooth.
 FROM_FRICTION = 0.4

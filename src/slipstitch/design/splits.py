@@ -6,19 +6,14 @@ side or in another cloth. `split_by_simulation` keeps whole simulations from tra
 what a network is worth on a cloth that it has never watched move.
 """
 
-from __future__ import annotations
-
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from slipstitch.base.errors import BadInput
+from slipstitch.config.model import Config
 from slipstitch.design.grid import simulations
-
-if TYPE_CHECKING:
-    from slipstitch.config.model import Config
 
 SIDES = ("train", "validation", "test")
 

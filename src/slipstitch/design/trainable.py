@@ -3,18 +3,13 @@
 The checks tell it before anything is simulated, which takes days at full scale.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from slipstitch.base.errors import BadInput
 from slipstitch.config import train as trained
 from slipstitch.config.catalogue import VIEWPOINTS
+from slipstitch.config.model import Config
 from slipstitch.config.train import TrainSettings
-
-if TYPE_CHECKING:
-    from slipstitch.config.model import Config
 
 FEWEST = 2
 
