@@ -199,7 +199,7 @@ def test_a_result_that_cannot_be_written_is_not_lost(bench, tmp_path, capsys, mo
     def full(*_):
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr("slipstitch.film.measure.measurement_files.write_json", full)
+    monkeypatch.setattr("slipstitch.film.measure.pages.write_json", full)
     assert measure(bench, tmp_path) == 1
     told = capsys.readouterr()
     assert told.out.startswith("friction 0.")

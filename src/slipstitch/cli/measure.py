@@ -37,7 +37,7 @@ def measure(arguments: options.Arguments) -> int:
     """
     from slipstitch.base.provenance import start_clock
     from slipstitch.film.measure import known_of_example
-    from slipstitch.film.measure.measurement_files import write_measurements
+    from slipstitch.film.measure.pages import write_measurements
 
     _check(arguments)
     started = start_clock()

@@ -16,7 +16,6 @@ from slipstitch.film.measure.measurement_files import (
     names_of,
 )
 from slipstitch.film.measure.measuring_bench import MeasuringBench
-from slipstitch.film.measure.pages import captures_page
 
 LABELS = ("material", "substrate", *REFERENCE)
 
@@ -96,10 +95,6 @@ class MeasuredCaptures:
         """CSV: of every pair a row per video, measured or not, then the combined value."""
         rows = (pair.labels | row for pair in self.pairs for row in pair.measured.rows())
         return csv_text((*LABELS, *COLUMNS), rows)
-
-    def page(self) -> str:
-        """The result as an HTML page."""
-        return captures_page(self)
 
 
 def measured_captures(

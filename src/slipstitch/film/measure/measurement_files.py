@@ -1,4 +1,4 @@
-"""Measurements of one pair's videos, and as files: the page, all numbers, a table."""
+"""Measurements of one pair's videos: in words, all numbers, a table."""
 
 import csv
 import io
@@ -6,18 +6,14 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from slipstitch.base.errors import BadInput
-from slipstitch.base.provenance import file_digest, provenance_record, write_json, write_text
+from slipstitch.base.provenance import file_digest
 from slipstitch.film.csv_table import FORMULA
 from slipstitch.film.measure.measuring_bench import MeasuredVideo, MeasuringBench
-from slipstitch.film.measure.pages import measurement_page, repeats_page
 from slipstitch.film.measure.repeats import Repeats, combined
 from slipstitch.learning.prediction import Prediction
-
-if TYPE_CHECKING:
-    from slipstitch.film.measure.captures import MeasuredCaptures
 
 COLUMNS = (
     *("video", "friction_coefficient", "interval_90_low", "interval_90_high"),
@@ -100,10 +96,6 @@ class MeasuredPair:
             f"combined ({len(self.used)} of {self.count} videos): "
             f"friction {together.friction_coefficient:.3f}, {error_bar}"
         )
-
-    def page(self) -> str:
-        """The result as an HTML page."""
-        return repeats_page(self) if self.count > 1 else measurement_page(self.videos[0])
 
     def numbers(self) -> dict[str, Any]:
         """The result for a program."""
@@ -207,32 +199,6 @@ def measured_repeats(films: Sequence[Film]) -> MeasuredPair:
         none = f"none of {len(films)} videos can be measured; the first: " * (len(films) > 1)
         raise BadInput(f"{none}{first}")
     return pair
-
-
-def write_measurements(
-    result: "MeasuredPair | MeasuredCaptures",
-    read: Sequence[Path],
-    started: tuple[float, float],
-    *,
-    page_path: Path | None,
-    numbers_path: Path | None,
-    table_path: Path | None,
-) -> None:
-    """Write what is asked for (HTML, JSON, CSV), with its provenance beside it.
-
-    `read` are the videos, the camera files and the instrument's configuration, for the record.
-    """
-    if not (page_path or numbers_path or table_path):
-        return
-    inputs = [path for path in read if Path(path).is_file()]
-    record = provenance_record("measure", inputs=inputs, started=started)
-    record["instrument"] = result.videos[0].instrument
-    if page_path:
-        write_text(page_path, result.page(), record)
-    if numbers_path:
-        write_json(numbers_path, result.numbers(), record)
-    if table_path:
-        write_text(table_path, result.table(), record)
 
 
 def _refuse_copies(videos: Sequence[Path]) -> None:

@@ -1,7 +1,8 @@
-"""Pages of a measurement: of one video, with its frames; of repeats of a pair; of all pairs."""
+"""Measurements as files: all numbers, a table, the page of one video, of a pair, of all pairs."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import cv2
 import numpy as np
@@ -11,14 +12,13 @@ from slipstitch.base.page.figures import data_uri, new_figure, plain_text, style
 from slipstitch.base.page.palette import BLUE, FRAME, INK, INTERVAL, SOFT, VERMILION
 from slipstitch.base.page.templates import render
 from slipstitch.base.page.wording import percent, span
+from slipstitch.base.provenance import provenance_record, write_json, write_text
 from slipstitch.film.measure import truth_of
+from slipstitch.film.measure.captures import MeasuredCaptures
+from slipstitch.film.measure.measurement_files import MeasuredPair
 from slipstitch.film.measure.measuring_bench import MeasuredVideo
 from slipstitch.images.encoding import encode_png
 from slipstitch.learning.instrument.poses import TITLES, shown
-
-if TYPE_CHECKING:
-    from slipstitch.film.measure.captures import MeasuredCaptures
-    from slipstitch.film.measure.measurement_files import MeasuredPair
 
 _OF_ONE, _OF_REPEATS, _OF_CAPTURES = (
     Path(__file__).with_name(f"{name}.html.j2") for name in ("measurement", "repeats", "captures")
@@ -26,6 +26,38 @@ _OF_ONE, _OF_REPEATS, _OF_CAPTURES = (
 _SIDE = 112  # pixels of a frame on the page
 _DECISIVE = 5
 _RING = tuple(bytes.fromhex(VERMILION.removeprefix("#")))
+
+
+def write_measurements(
+    result: MeasuredPair | MeasuredCaptures,
+    read: Sequence[Path],
+    started: tuple[float, float],
+    *,
+    page_path: Path | None,
+    numbers_path: Path | None,
+    table_path: Path | None,
+) -> None:
+    """Write what is asked for (HTML, JSON, CSV), with its provenance beside it.
+
+    `read` are the videos, the camera files and the instrument's configuration, for the record.
+    """
+    if not (page_path or numbers_path or table_path):
+        return
+    inputs = [path for path in read if Path(path).is_file()]
+    record = provenance_record("measure", inputs=inputs, started=started)
+    record["instrument"] = result.videos[0].instrument
+    if page_path:
+        write_text(page_path, _page(result), record)
+    if numbers_path:
+        write_json(numbers_path, result.numbers(), record)
+    if table_path:
+        write_text(table_path, result.table(), record)
+
+
+def _page(result: MeasuredPair | MeasuredCaptures) -> str:
+    if isinstance(result, MeasuredCaptures):
+        return captures_page(result)
+    return repeats_page(result) if result.count > 1 else measurement_page(result.videos[0])
 
 
 def _frames(result: MeasuredVideo) -> list[dict]:
@@ -117,7 +149,7 @@ def _timeline(result: MeasuredVideo, weights: np.ndarray) -> Figure:
     return figure
 
 
-def repeats_page(pair: "MeasuredPair") -> str:
+def repeats_page(pair: MeasuredPair) -> str:
     """The page as HTML; it needs no other file."""
     return render(
         _OF_REPEATS,
@@ -137,7 +169,7 @@ def _short(name: str, most: int = 28) -> str:
 
 
 @styled
-def _figure(pair: "MeasuredPair"):
+def _figure(pair: MeasuredPair):
     """Every video's interval, one below the other, and the combined one."""
     figure = new_figure(8.6, 0.9 + 0.3 * len(pair.videos))
     axes = figure.subplots()
@@ -160,7 +192,7 @@ def _figure(pair: "MeasuredPair"):
     return figure
 
 
-def captures_page(captures: "MeasuredCaptures") -> str:
+def captures_page(captures: MeasuredCaptures) -> str:
     """The page of all pairs of a table as HTML; it needs no other file."""
     title = "Friction of each pair with its interval, and the reference where there is one"
     figure = svg_element(_pairs_figure(captures), title)
@@ -168,7 +200,7 @@ def captures_page(captures: "MeasuredCaptures") -> str:
 
 
 @styled
-def _pairs_figure(captures: "MeasuredCaptures") -> Figure:
+def _pairs_figure(captures: MeasuredCaptures) -> Figure:
     """Every pair's combined interval, one below the other, beside its reference."""
     figure = new_figure(8.6, 0.9 + 0.3 * len(captures.pairs))
     axes = figure.subplots()
