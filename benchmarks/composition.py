@@ -21,7 +21,7 @@ import numpy as np
 from slipstitch.config.catalogue import FLOORS, TEXTURES
 from slipstitch.config.render import RenderSettings
 from slipstitch.images.blender import ClothScene
-from slipstitch.images.composition import compose, join
+from slipstitch.images.composition import compose_light, join
 from slipstitch.images.encoding import encode_srgb
 from slipstitch.images.packing import render_shadings
 from slipstitch.images.surroundings import draw_surroundings, generator
@@ -59,7 +59,8 @@ def compare(path: Path, floor: str, viewpoint: str, pixels: int, images: int) ->
     ((_, shading, sight),) = render_shadings(trajectory, [shot], settings, surroundings)
     scene = ClothScene(trajectory.faces, trajectory.uv, surroundings)
     rows = []
-    for name, composed in zip(names, compose(join(shading, sight), names), strict=True):
+    for name, light in zip(names, compose_light(join(shading, sight), names), strict=True):
+        composed = encode_srgb(light)
         scene.wear(texture(name))
         positions, seed = trajectory.positions_m[shot.row], 2**20 + shot.frame
         direct = scene.render(positions, shot.camera, samples=256, seed=seed)

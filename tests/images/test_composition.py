@@ -12,7 +12,7 @@ from support import synthetic_cloth
 
 from slipstitch.config.render import RenderSettings
 from slipstitch.images.blender import ClothScene
-from slipstitch.images.composition import Layers, compose, join
+from slipstitch.images.composition import Layers, compose_light, join
 from slipstitch.images.encoding import encode_srgb
 from slipstitch.images.packing import render_shadings
 from slipstitch.images.shading import separate
@@ -39,6 +39,10 @@ VIEWPOINTS = ["calibrated_+10", "calibrated_-15", "frontal", "side"]
 
 def shots(trajectory, viewpoint, settings, sampled):
     return View("one.parquet", "v00", viewpoint, settings, sampled, 0).shots(trajectory)
+
+
+def compose(layers, names):
+    return [encode_srgb(light) for light in compose_light(layers, names)]
 
 
 def compare(pixels, viewpoint, frames, textures, surroundings):

@@ -14,7 +14,6 @@ import cv2
 import numpy as np
 import warp as wp
 
-from slipstitch.images.encoding import encode_srgb
 from slipstitch.images.reflection import GGX, MARGIN, MirroredSight, blur_weights, blurred
 from slipstitch.images.shading import LIGHT_OVERSAMPLING, Shading, Sight
 from slipstitch.images.textures import KEPT, TEXELS, texture
@@ -90,11 +89,6 @@ def _prepared(name: str, blur: float) -> tuple[np.ndarray, np.ndarray, np.ndarra
 def _texel(uv: np.ndarray, texels: int) -> np.ndarray:
     column, row = np.clip((uv * texels).astype(np.int64), 0, texels - 1).T
     return row * texels + column
-
-
-def compose(layers: Layers, names: list[str]) -> list[np.ndarray]:
-    """The frame with each of these textures, as 8-bit sRGB images (pixels, pixels, 3)."""
-    return [encode_srgb(light) for light in compose_light(layers, names)]
 
 
 def compose_light(layers: Layers, names: list[str]) -> Iterator[np.ndarray]:
