@@ -65,7 +65,7 @@ def simulation_seed(seed: int, bench: str, replicate: int) -> int:
     coefficient, so that nothing but contact tells them apart, unless `GridSettings.own_benches`
     names it.
     """
-    return int.from_bytes(_digest(seed, bench, replicate)[:4], "big") & 0x7FFFFFFF
+    return int.from_bytes(digest(seed, bench, replicate)[:4], "big") & 0x7FFFFFFF
 
 
 def bench_of(simulation: str) -> str:
@@ -182,7 +182,7 @@ def films(config: Config) -> dict[tuple[str, str], dict[str, str]]:
         if view["role"] == "test" and render.test_viewpoint_videos is not None:
             trains = [s.id for s in grid if "test" not in (s.material_role, s.friction_role)]
             every = [(simulation, texture) for simulation in trains for texture in trained]
-            every.sort(key=lambda one: _digest(config.seed, view["name"], one[0], names[one[1]]))
+            every.sort(key=lambda one: digest(config.seed, view["name"], one[0], names[one[1]]))
             for simulation, texture in sorted(every[: render.test_viewpoint_videos]):
                 result.setdefault((simulation, view["id"]), {})[texture] = names[texture]
         else:
@@ -191,7 +191,8 @@ def films(config: Config) -> dict[tuple[str, str], dict[str, str]]:
     return result
 
 
-def _digest(*words: object) -> bytes:
+def digest(*words: object) -> bytes:
+    """SHA-256 of words, by which what depends on them alone is drawn."""
     return hashlib.sha256("|".join(map(str, words)).encode()).digest()
 
 

@@ -7,7 +7,6 @@ put the mean five times as far off. Only films that train show such cloths, and 
 that train are their parents: what is tested and calibrated with is simulated.
 """
 
-import hashlib
 import itertools
 import math
 from collections import defaultdict
@@ -18,7 +17,7 @@ import numpy as np
 
 from slipstitch.config.catalogue import VIEWPOINTS
 from slipstitch.config.model import Config
-from slipstitch.design.grid import Simulation, simulations, viewpoint_ids
+from slipstitch.design.grid import Simulation, digest, simulations, viewpoint_ids
 from slipstitch.design.splits import sides_of_simulations
 from slipstitch.design.stage_path import SIDE_M, StagePath
 
@@ -101,5 +100,4 @@ def _ahead_of_tail_m(friction: float, length_m: float, height_m: float) -> float
 def _drawn(*words: object) -> Iterator[float]:
     """Numbers in 0 ... 1 that depend on the words only."""
     for count in itertools.count():
-        text = "|".join(map(str, (*words, "interpolation", count)))
-        yield int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big") / 2**64
+        yield int.from_bytes(digest(*words, "interpolation", count)[:8], "big") / 2**64

@@ -6,7 +6,6 @@ look tells a coefficient. In the second training set a floor is drawn for each v
 A camera of the family ``bench_1`` ... has a floor and a lamp of its own in every simulation.
 """
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -14,7 +13,7 @@ import numpy as np
 
 from slipstitch.config.catalogue import FLOORS, VIEWPOINTS
 from slipstitch.config.render import RenderSettings
-from slipstitch.design.grid import bench_of, is_reflective, viewpoint_ids
+from slipstitch.design.grid import bench_of, digest, is_reflective, viewpoint_ids
 
 # Half the thickness of a light fabric: the floor lies this far under the cloth's middle surface,
 # so that neither is drawn through the other.
@@ -50,8 +49,7 @@ MATTE = Surroundings()
 
 def generator(seed: int, *names: str) -> np.random.Generator:
     """Random numbers that depend on the configuration's seed and on these names only."""
-    text = "|".join([str(seed), *names])
-    return np.random.default_rng(int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big"))
+    return np.random.default_rng(int.from_bytes(digest(seed, *names)[:8], "big"))
 
 
 def of_a_family(viewpoint: str) -> bool:
