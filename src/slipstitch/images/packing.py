@@ -9,6 +9,7 @@ import os
 from collections.abc import Iterable, Iterator
 from dataclasses import asdict, dataclass
 
+import cv2
 import numpy as np
 import pyarrow as pa
 
@@ -149,14 +150,10 @@ def _pack(shading: Shading, sight: Sight) -> dict:
     met = np.zeros((side, side), dtype=bool)
     y, x = np.divmod(sight.cloth.seen, side * step)
     met[y // step, x // step] = True
-    rows, columns = np.flatnonzero(met.any(axis=1)), np.flatnonzero(met.any(axis=0))
-    window = [0, 0, 0, 0]
-    if len(rows):
-        window = [rows[0], rows[-1] + 1, columns[0], columns[-1] + 1]
-    top, bottom, left, right = window
-    cloth = (shading.cloth * met)[:, top:bottom, left:right]
+    left, top, columns, rows = cv2.boundingRect(met.astype(np.uint8))
+    cloth = (shading.cloth * met)[:, top : top + rows, left : left + columns]
     return {
-        "window": [int(edge) for edge in window],
+        "window": [top, top + rows, left, left + columns],
         "still": _bytes(shading.still),
         "cloth": _bytes(cloth),
         "mirrored": None if shading.mirrored is None else _bytes(shading.mirrored),

@@ -150,10 +150,10 @@ def _shrink(image: np.ndarray, step: int) -> np.ndarray:
 def _smooth_on_cloth(light: np.ndarray, uv: np.ndarray, on_cloth: np.ndarray) -> np.ndarray:
     """Light (2, 3, H, W) smoothed over pixels close both in the image and on the cloth, added."""
     result = np.sum([*map(spread, light, (on_cloth,) * 2, _CLOTH_BLUR)], axis=0)
-    rows, columns = np.flatnonzero(on_cloth.any(axis=1)), np.flatnonzero(on_cloth.any(axis=0))
-    if not len(rows):
+    left, top, columns, rows = cv2.boundingRect(on_cloth.astype(np.uint8))
+    if not rows:
         return result
-    window = np.s_[..., rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    window = np.s_[..., top : top + rows, left : left + columns]
     inside = on_cloth[window]
     smooth = light[window].astype(np.float32)
     place = np.moveaxis(uv[window[1:]][..., :2], -1, 0) / np.float32(_CLOTH_NEARBY)
