@@ -43,7 +43,8 @@ from slipstitch.film.slip_angles import estimate, read_angles
 from slipstitch.film.stage_video import read_stage_video
 from slipstitch.images.camera import pose
 from slipstitch.images.camera_file import read_camera_file
-from slipstitch.images.image_shards import decode_image, read_images
+from slipstitch.images.encoding import decode_image
+from slipstitch.images.image_shards import read_images
 from slipstitch.images.textures import _read as read_texture
 from slipstitch.learning.checkpoint import Progress, load_checkpoint, save_checkpoint
 from slipstitch.learning.evaluation.trained import Trained

@@ -18,6 +18,7 @@ import numpy as np
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import image_bytes
 from slipstitch.film.recording import Recording
+from slipstitch.images.encoding import decode_image
 
 _SEARCH_PX = 1000  # a board that cannot be seen in an image of this width is not there
 _FEWEST_CORNERS = 12
@@ -279,12 +280,9 @@ class BoardView:
 
 def read_image(path: str | Path) -> np.ndarray:
     """A grey image (H, W) uint8; BadInput if the file is missing or not an image."""
-    data = np.frombuffer(image_bytes(path), np.uint8)
     # As OpenCV would show it: a camera's orientation tag does not turn the sensor.
-    image = cv2.imdecode(data, cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION)
-    if image is None:
-        raise BadInput(f"{path}: not an image that OpenCV can read")
-    return image
+    grey = cv2.IMREAD_GRAYSCALE | cv2.IMREAD_IGNORE_ORIENTATION
+    return decode_image(image_bytes(path), str(path), grey)
 
 
 def _frames(path: str | Path) -> Iterator[tuple[str, np.ndarray]]:

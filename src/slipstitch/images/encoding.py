@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import check_image
 from slipstitch.config.render import AugmentationSettings
 from slipstitch.images.surroundings import drawn_by, generator
 
@@ -40,6 +42,15 @@ def encode_png(image: np.ndarray) -> bytes:
     if not good:
         raise RuntimeError("OpenCV could not encode a PNG")
     return data.tobytes()
+
+
+def decode_image(data: bytes, where: str, how: int = cv2.IMREAD_COLOR) -> np.ndarray:
+    """An image file's content as OpenCV reads it, blue first (H, W, 3) uint8; else BadInput."""
+    check_image(data, where)
+    image = cv2.imdecode(np.frombuffer(data, np.uint8), how)
+    if image is None:
+        raise BadInput(f"{where}: not an image that OpenCV can read")
+    return image
 
 
 # The read noise of a sensor, as a share of the shot noise at full white.

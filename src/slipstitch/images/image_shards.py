@@ -16,7 +16,7 @@ from slipstitch.base.errors import BadInput
 from slipstitch.config import Config
 from slipstitch.images.camera import keypoints_m
 from slipstitch.images.composition import compose_light, join
-from slipstitch.images.encoding import encode_png
+from slipstitch.images.encoding import decode_image, encode_png
 from slipstitch.images.packing import Pack, read_pack, shade
 from slipstitch.images.textures import texture_file
 from slipstitch.images.view import Shot, View
@@ -151,15 +151,6 @@ def read_images(path: str | os.PathLike) -> dict[tuple[str, str, str], dict[int,
         key = (row["simulation"], row["texture"], row["viewpoint"])
         videos.setdefault(key, {})[row["frame"]] = row["image"]["bytes"]
     return videos
-
-
-def decode_image(data: bytes, where: str) -> np.ndarray:
-    """An image file's content, blue first (H, W, 3) uint8; BadInput if it is damaged."""
-    provenance.check_image(data, where)
-    image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR)
-    if image is None:
-        raise BadInput(f"{where}: an image cannot be decoded")
-    return image
 
 
 def preview(

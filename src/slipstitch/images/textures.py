@@ -16,7 +16,7 @@ import numpy as np
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import image_bytes
 from slipstitch.config.catalogue import TEXTURE_FAMILY, TEXTURES, is_texture_file
-from slipstitch.images.encoding import decode_srgb
+from slipstitch.images.encoding import decode_image, decode_srgb
 from slipstitch.images.surroundings import generator
 
 TEXELS = 512
@@ -69,9 +69,7 @@ def texture_file(name: str) -> Path | None:
 
 def _read(path: Path) -> np.ndarray:
     """An image file as sRGB values (512, 512, 3) in 0 ... 1, its upper edge the cloth's."""
-    image = cv2.imdecode(np.frombuffer(image_bytes(path), np.uint8), cv2.IMREAD_COLOR)
-    if image is None:
-        raise BadInput(f"{path}: not an image file; a texture must be one")
+    image = decode_image(image_bytes(path), str(path))
     size = (TEXELS, TEXELS)
     shrinks = min(image.shape[:2]) >= TEXELS
     how = cv2.INTER_AREA if shrinks else cv2.INTER_CUBIC

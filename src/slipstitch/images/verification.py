@@ -14,8 +14,8 @@ from slipstitch.base.errors import BadInput, SlipstitchError
 from slipstitch.config import Config
 from slipstitch.design.grid import texture_ids
 from slipstitch.images.composition import compose_light, join
-from slipstitch.images.encoding import encode_png, encode_srgb
-from slipstitch.images.image_shards import SCHEMA, decode_image
+from slipstitch.images.encoding import decode_image, encode_png, encode_srgb
+from slipstitch.images.image_shards import SCHEMA
 from slipstitch.images.packing import read_pack
 from slipstitch.images.surroundings import generator
 from slipstitch.images.textures import texture
