@@ -4,6 +4,7 @@ import os
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from fractions import Fraction
+from itertools import islice
 from pathlib import Path
 
 import av
@@ -67,23 +68,17 @@ def render_shard(
         pack = read_pack(pack_path, view, trajectory)
     # PNG does not compress any further.
     how = {name: "zstd" for name in SCHEMA.names if name != "image"}
-    images = 0
+    # A group holds some tens of images, whole frames of them.
+    size = -(-_GROUP // len(view.textures)) * len(view.textures)
+    rows = (_row(view, trajectory, *one) for one in composed_images(view, pack, trajectory))
     with provenance.parquet_stream(out, SCHEMA, compression=how) as stream:
-        group: list[dict] = []
-        for shot, identity, image in composed_images(view, pack, trajectory):
-            group.append(_row(view, trajectory, shot, identity, image))
-            images += 1
-            # A group holds some tens of images, whole frames of them.
-            if len(group) >= _GROUP and identity == list(view.textures)[-1]:
-                stream.write(group)
-                group = []
-        if group:
+        while group := list(islice(rows, size)):
             stream.write(group)
         files += [] if pack_path is None else [Path(pack_path)]
         stream.describe(*_description(view, pack, trajectory, files, started))
     return {
         "frames": len(pack.shots),
-        "images": images,
+        "images": len(pack.shots) * len(view.textures),
         "smallest_share_of_cloth_in_image": pack.metadata["smallest_share_of_cloth_in_image"],
     }
 
