@@ -364,8 +364,7 @@ def draw_residuals(result: Calibration, path: Path, kind: str) -> None:
         xlabel="x (px)", ylabel="y (px)", title=f"rms {result.rms_px:.3f} px",
     )  # fmt: skip
     scatter.grid(alpha=0.3)
-    worst = [np.sqrt((part**2).sum(axis=1).mean()) for part in result.residuals_px]
-    bars.bar(range(len(worst)), worst, color="tab:blue")
+    bars.bar(range(len(result.views)), [*map(_rms, result.residuals_px)], color="tab:blue")
     bars.axhline(result.rms_px, color="black", linewidth=0.8)
     bars.set(ylabel="rms (px)", title="error per view")
     names = [plain_text(Path(view.name).name) for view in result.views]

@@ -103,6 +103,7 @@ class LrcnTrainer(Trainer):
         self.chance_loss = chance_loss(labels[self.training])
         self.plateau_window = settings.epochs_per_cycle
         self.plateau_epochs = PLATEAU_EPOCHS
+        self.keeps_before_last = settings.keep_all_views and phases[-1].name == FINE_TUNING
         self.diverged_hint = f"a smaller train.learning_rate than {settings.learning_rate:g}"
         self.plateau_hint = (
             f"initialisation {settings.initialisation!r}, train.epochs_per_cycle "
@@ -211,44 +212,35 @@ def train_network(
     identity = {"view_order": list(view_order), **named}
     of_training = settings, run, videos, training, started, identity
     trainer = LrcnTrainer(network, phases, labels, condition, *of_training)
-    known = {"target": target, "classes": classes, "condition_classes": condition_classes}
-    told = [] if condition_digest is None else _weights_of(material_model, settings)
-    return _train_and_write(trainer, view_order, named | known, told)
-
-
-def _train_and_write(
-    trainer: LrcnTrainer, view_order: Sequence[str], known: dict[str, Any], told: list[Path]
-) -> dict[str, Any]:
-    """Train; write the network, also before fine-tuning if that is kept; return the card."""
-    run = trainer.run
-
-    def save(
-        weights: dict[str, torch.Tensor], history: Sequence[dict[str, Any]], folder: Path
-    ) -> dict[str, Any]:
-        _, frames, pixels = trainer.videos.pixels.shape[:3]
-        card = {
-            **known,
-            "split": run.split,
-            "seed": run.seed,
-            "pixels": pixels,
-            "frames": frames,
-            "viewpoints": list(view_order),
-            **trainer.facts(history),
-            "use": "predicts the class in drop-and-drag videos rendered like this dataset; its "
-            "performance on other videos, real ones included, is unknown",
-        }
-        return save_model(weights, card, folder)
-
-    files = [WEIGHTS, CARD]
-    fine_tunes = trainer.phases[-1].name == FINE_TUNING
-    trainer.keeps_before_last = trainer.settings.keep_all_views and fine_tunes
     trainer.train()
-    done = trainer.progress
+    known = named | {
+        "target": target,
+        "classes": classes,
+        "condition_classes": condition_classes,
+        "split": run.split,
+        "seed": run.seed,
+        "pixels": videos.pixels.shape[2],
+        "frames": videos.pixels.shape[1],
+        "viewpoints": list(view_order),
+    }
+    told = [] if condition_digest is None else _weights_of(material_model, settings)
+    return _write(trainer, known, told)
+
+
+def _write(trainer: LrcnTrainer, known: dict[str, Any], told: list[Path]) -> dict[str, Any]:
+    """Write the network, also before fine-tuning if that is kept; return the card."""
+    use = (
+        "predicts the class in drop-and-drag videos rendered like this dataset; its performance "
+        "on other videos, real ones included, is unknown"
+    )
+    done, files = trainer.progress, [WEIGHTS, CARD]
     if done.kept:
         files += [f"{ALL_VIEWS}/{name}" for name in files]
         before = [row for row in done.history if row["stage"] != FINE_TUNING]
-        save(done.kept, before, Path(run.out) / ALL_VIEWS)
-    card = save(trainer.network.state_dict(), done.history, Path(run.out))
+        card = {**known, **trainer.facts(before), "use": use}
+        save_model(done.kept, card, trainer.out / ALL_VIEWS)
+    card = {**known, **trainer.facts(done.history), "use": use}
+    card = save_model(trainer.network.state_dict(), card, trainer.out)
     trainer.write_record(files, told)
     return card
 
