@@ -19,7 +19,6 @@ import numpy as np
 from slipstitch.dataset.videos import read_videos
 from slipstitch.film.measure import SHIPPED
 from slipstitch.learning.evaluation.metrics import BY_NAME, PredictionsAndTruth
-from slipstitch.learning.instrument.augmentation import phased
 from slipstitch.learning.instrument.measuring import load_instrument
 from slipstitch.learning.instrument.poses import poses_of
 
@@ -28,9 +27,8 @@ def predictions(dataset, instrument):
     """Return one row a video: labels, prediction, interval, alarm."""
     videos = read_videos(dataset, pixels=instrument.settings.pixels)
     rows = []
-    for row, video in zip(videos.rows, videos.pixels, strict=True):
-        frames = phased(video[None], instrument.card["frames"], None)
-        found = instrument.measure(frames[0], pose=poses_of([row])[0])
+    for row, frames in zip(videos.rows, instrument.frames_of(videos).pixels, strict=True):
+        found = instrument.measure(frames, pose=poses_of([row])[0])
         low, high = found.interval_90
         rows.append(
             row

@@ -20,7 +20,6 @@ from slipstitch.config.train import InstrumentSettings
 from slipstitch.dataset.videos import read_videos
 from slipstitch.learning.evaluation.metrics import covered
 from slipstitch.learning.evaluation.trained import Trained
-from slipstitch.learning.instrument.augmentation import phased
 from slipstitch.learning.instrument.calibration import (
     ANSWERS,
     READINGS,
@@ -92,7 +91,7 @@ def average(ensemble):
 
 
 def answers_of(instrument, videos):
-    return instrument.answers(phased(videos.pixels, 6, None), np.random.default_rng(0))
+    return instrument.answers(instrument.frames_of(videos).pixels, np.random.default_rng(0))
 
 
 def test_its_distribution_is_the_mixture_of_its_members(dataset, members, average):

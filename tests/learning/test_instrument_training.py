@@ -13,7 +13,8 @@ from support.refusal import run
 from slipstitch.base.errors import BadInput
 from slipstitch.config import write_config
 from slipstitch.config.train import InstrumentSettings
-from slipstitch.learning.instrument.augmentation import disordered, phased
+from slipstitch.design.grid import sampled_frames
+from slipstitch.learning.instrument.augmentation import disordered, phase_frames
 from slipstitch.learning.instrument.measuring import load_instrument
 from slipstitch.learning.instrument.network import (
     KEYPOINT_ERROR_M,
@@ -60,7 +61,7 @@ def folder(dataset, tmp_path_factory):
 def tests(dataset):
     """Videos of simulations that neither trained nor calibrated, from the measuring viewpoint."""
     videos = held_out(dataset)
-    return videos, phased(videos.pixels, 6, None)
+    return videos, videos.seen_with(videos.pixels.shape[2], 6).pixels
 
 
 def errors_of(instrument, videos, frames):
@@ -257,12 +258,12 @@ def test_a_millimetre_is_as_wrong_at_every_point():
 
 
 def test_frames_are_drawn_at_any_phase_of_the_first_interval_and_disordered_ones_in_none():
-    videos = np.arange(12, dtype=np.uint8)[None, :, None, None, None].repeat(50, axis=0)
-    taken = phased(videos, 4, np.random.default_rng(0))[..., 0, 0, 0]
+    taken = phase_frames(50, 12, 4, np.random.default_rng(0))
+    assert sampled_frames(12, 4).tolist() == [0, 3, 6, 9]
     assert {tuple(row) for row in taken.tolist()} == {(k, k + 3, k + 6, k + 9) for k in range(3)}
-    assert phased(videos, 4, None)[7, :, 0, 0, 0].tolist() == [0, 3, 6, 9]
+    video = np.arange(12, dtype=np.uint8)[:, None, None, None]
     for seed in range(30):
-        assert not np.array_equal(disordered(videos[0], np.random.default_rng(seed)), videos[0])
+        assert not np.array_equal(disordered(video, np.random.default_rng(seed)), video)
 
 
 def test_the_curve_in_the_terminal_falls_as_the_loss_does():

@@ -66,19 +66,11 @@ def augmented(
     return result
 
 
-def phase_frames(
-    count: int, total: int, frames: int, generator: np.random.Generator | None
-) -> np.ndarray:
-    """Which `frames` of the `total` of each of `count` videos are seen, from a drawn phase on."""
+def phase_frames(count: int, total: int, frames: int, generator: np.random.Generator) -> np.ndarray:
+    """Which `frames` of the `total` of each of `count` videos train, from a drawn phase on."""
     spare = -(-total // frames)  # phases that differ
-    starts = np.zeros(count) if generator is None else generator.integers(spare, size=count) / spare
+    starts = generator.integers(spare, size=count) / spare
     return ((np.arange(frames)[None] + starts[:, None]) * total / frames).astype(np.int64)
-
-
-def phased(videos: np.ndarray, frames: int, generator: np.random.Generator | None) -> np.ndarray:
-    """The frames of each video (n, F, ...) that `phase_frames` names, shape (n, frames, ...)."""
-    places = phase_frames(len(videos), videos.shape[1], frames, generator)
-    return videos[np.arange(len(videos))[:, None], places]
 
 
 def disordered(video: np.ndarray, generator: np.random.Generator) -> np.ndarray:

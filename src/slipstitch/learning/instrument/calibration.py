@@ -23,7 +23,6 @@ from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import file_digest, read_json, read_parquet, read_sidecar
 from slipstitch.dataset.videos import Videos
 from slipstitch.learning.instrument.alarm import SCORES, Alarm, describe
-from slipstitch.learning.instrument.augmentation import phased
 from slipstitch.learning.instrument.distribution import (
     conformal_scales,
     grouped_quantile,
@@ -54,7 +53,7 @@ def answers_on(
     instrument: Instrument, alarm: Alarm, videos: Videos, generator: np.random.Generator
 ) -> pa.Table:
     """Return what both say of videos that are to calibrate them, not yet rounded to `ANSWERS`."""
-    frames = phased(videos.pixels, instrument.card["frames"], None)
+    frames = instrument.frames_of(videos).pixels
     answers = instrument.answers(frames, generator, poses_of(videos.rows))
     scores = alarm.raw(frames, answers.embedding, answers.order)
     return pa.table(
@@ -119,7 +118,7 @@ def calibrated(instrument: Instrument, videos: Videos, training: np.ndarray) -> 
     if training.all():
         return instrument
     generator = np.random.default_rng(0)
-    trained = phased(videos.pixels[training], instrument.card["frames"], None)
+    trained = instrument.frames_of(videos.chosen(training)).pixels
     answers = instrument.answers(trained, generator, poses_of(videos.rows)[training])
     alarm = describe(trained, answers.embedding)
     del trained  # as large as all videos that train
@@ -181,7 +180,7 @@ def sources_of(readings: Readings) -> list[dict[str, Any]]:
 
 def readings_on(instrument: Instrument, videos: Videos) -> Readings:
     """Return what a calibrated instrument reads of the videos of a dataset."""
-    frames = phased(videos.pixels, instrument.card["frames"], None)
+    frames = instrument.frames_of(videos).pixels
     answers = instrument.answers(frames, np.random.default_rng(0), poses_of(videos.rows))
     distributions = instrument.distributions(answers.probabilities)
     friction = np.array([row["friction"] for row in videos.rows])

@@ -14,9 +14,10 @@ from scipy.special import ndtri, softmax
 from slipstitch.base.errors import BadInput, first_line
 from slipstitch.config.train import InstrumentSettings, split_of
 from slipstitch.dataset.videos import Videos, resized
+from slipstitch.design.grid import sampled_frames
 from slipstitch.images.camera import POSE
 from slipstitch.learning.instrument.alarm import Alarm
-from slipstitch.learning.instrument.augmentation import augmented, phased
+from slipstitch.learning.instrument.augmentation import augmented
 from slipstitch.learning.instrument.distribution import (
     conformal_intervals,
     conformal_scales,
@@ -211,7 +212,8 @@ class Instrument:
 
     def frames_of(self, videos: Videos) -> Videos:
         """Return the videos with the frames that the network sees, from the first on."""
-        return Videos(videos.rows, phased(videos.pixels, self.card["frames"], None), videos.digest)
+        kept = sampled_frames(videos.pixels.shape[1], self.card["frames"])
+        return Videos(videos.rows, videos.pixels.take(kept, axis=1), videos.digest)
 
     def _fitted(self, frames: np.ndarray) -> np.ndarray:
         """The frames at the network's size; BadInput if they are no such frames."""

@@ -13,11 +13,11 @@ from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import start_clock
 from slipstitch.config.train import REFLECTIVE, InstrumentSettings
 from slipstitch.dataset.videos import Videos
+from slipstitch.design.grid import sampled_frames
 from slipstitch.learning.instrument.augmentation import (
     augmented,
     disordered,
     phase_frames,
-    phased,
     standardised,
 )
 from slipstitch.learning.instrument.calibration import calibrated
@@ -236,9 +236,10 @@ class InstrumentTrainer(Trainer):
             return {f"validation_{name}": math.nan for name in names}
         self.network.eval()
         parts: dict[str, list[Tensor]] = {name: [] for name in names}
+        kept = sampled_frames(self.videos.pixels.shape[1], self.frames)
         with torch.inference_mode():
             for batch in np.array_split(numbers, -(-len(numbers) // 8)):
-                views = standardised(phased(self.videos.pixels[batch], self.frames, None))
+                views = standardised(self.videos.pixels[batch].take(kept, axis=1))
                 outputs = self.network(views, self.bfloat16, self.poses[batch])
                 cumulative = mixture_cumulative(outputs["friction"], self.network.middles)
                 truth, grid, labels = self.friction[batch], self.network.grid, self.labels[batch]
@@ -247,7 +248,7 @@ class InstrumentTrainer(Trainer):
                 right = outputs["material"].argmax(1) == labels
                 parts["accuracy"].append(right[labels != UNKNOWN].float())
                 if self.points is not None:
-                    off = outputs["points"] - phased(self.points[batch], self.frames, None)
+                    off = outputs["points"] - self.points[batch][:, kept]
                     parts["points"].append(keypoint_errors(self.network, off).mean((1, 2, 3)))
         return {f"validation_{name}": float(torch.cat(each).mean()) for name, each in parts.items()}
 
