@@ -35,6 +35,7 @@ from slipstitch.learning.instrument.distribution import (
 )
 from slipstitch.learning.instrument.ensemble import combine_instruments, recalibrate_instrument
 from slipstitch.learning.instrument.measuring import CARD, WEIGHTS, load_instrument
+from slipstitch.learning.instrument.poses import poses_of
 from slipstitch.learning.instrument.training import train_instrument
 from slipstitch.learning.trainer import Run
 
@@ -91,7 +92,8 @@ def average(ensemble):
 
 
 def answers_of(instrument, videos):
-    return instrument.answers(instrument.frames_of(videos).pixels, np.random.default_rng(0))
+    frames, generator = instrument.frames_of(videos).pixels, np.random.default_rng(0)
+    return instrument.answers(frames, generator, poses_of(videos.rows))
 
 
 def test_its_distribution_is_the_mixture_of_its_members(dataset, members, average):

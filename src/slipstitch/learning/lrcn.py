@@ -238,9 +238,9 @@ class LrcnModel:
             batch_size=batch_size,
         )
 
-    def predict(self, videos: Videos, batch_size: int = 8) -> list[Prediction]:
+    def predict(self, videos: Videos) -> list[Prediction]:
         """Return a prediction for every video."""
-        every = self.probabilities(videos, batch_size)
+        every = self.probabilities(videos)
         if self.card["target"] == "material":
             names = [of_class["name"] for of_class in self.card["classes"]]
             return [

@@ -239,7 +239,7 @@ class MeasuringBench:
             note_far_view=self.pose_range is None,
         )
         pose = np.array([video.pose[name] for name in POSE])
-        measured = self.instrument.measure(video.frames, np.random.default_rng(0), pose)
+        measured = self.instrument.measure(video.frames, pose)
         grid, probability = map(np.asarray, measured.distribution)
         factor = self.instrument.conformal_scale
         uncertainty = _half_width(grid, probability) * (factor if math.isfinite(factor) else 1.0)

@@ -90,15 +90,14 @@ class Instrument:
         return friction_grid(self.settings.friction_max)
 
     def answers(
-        self, videos: np.ndarray, generator: np.random.Generator, poses: np.ndarray | None = None
+        self, videos: np.ndarray, generator: np.random.Generator, poses: np.ndarray
     ) -> Answers:
         """Uncalibrated answers for uint8 videos (n, frames, pixels, pixels, 3) and poses (n, 4)."""
         for network in self.networks:
             network.eval()
-        told = scaled(np.zeros((len(videos), len(POSE))) if poses is None else poses)
         parts = []
         with torch.inference_mode():
-            for video, pose in zip(videos, told, strict=True):
+            for video, pose in zip(videos, scaled(poses), strict=True):
                 repeated = np.repeat(video[None], self.settings.draws, axis=0)
                 views = augmented(repeated, self.settings, generator)
                 poses_told = pose.expand(self.settings.draws, -1)
@@ -134,7 +133,7 @@ class Instrument:
     @property
     def without_error_bar(self) -> str:
         """Why intervals are the whole grid, as they are then; empty where they are not."""
-        if self.error_bars and math.isfinite(self.error_bars.conformal_scale):
+        if math.isfinite(self.conformal_scale):
             return ""
         groups = self.card.get("calibration_simulations", 0)
         of_them = f"{groups} simulation{'' if groups == 1 else 's'}"
@@ -150,12 +149,7 @@ class Instrument:
             "that calibrate its error bars trained it; expect larger errors than the interval says"
         ]
 
-    def measure(
-        self,
-        frames: np.ndarray,
-        generator: np.random.Generator | None = None,
-        pose: np.ndarray | None = None,
-    ) -> Prediction:
+    def measure(self, frames: np.ndarray, pose: np.ndarray | None = None) -> Prediction:
         """Measure one video; BadInput if the array is of another shape or type.
 
         Parameters
@@ -163,14 +157,13 @@ class Instrument:
         frames : ndarray of uint8, shape (frames, height, width, 3)
             RGB, at regular intervals from the start of the stage's motion, square, cropped as the
             training images are. Resized to the network's side where they differ.
-        generator : numpy Generator, optional
-            Draws the augmented views that are averaged; by default always the same.
         pose : ndarray, shape (4,), optional
             How the camera stands (`slipstitch.images.camera.POSE`); as calibrated by default.
         """
         video = self._fitted(frames)[None]
-        poses = None if pose is None else np.asarray(pose)[None]
-        answers = self.answers(video, generator or np.random.default_rng(0), poses)
+        poses = np.zeros((1, len(POSE))) if pose is None else np.asarray(pose)[None]
+        # Always the same augmented views.
+        answers = self.answers(video, np.random.default_rng(0), poses)
         distribution = self.distributions(answers.probabilities)
         median, low, high = self.intervals(distribution)[0]
         bars = self.error_bars
@@ -202,7 +195,7 @@ class Instrument:
             return row["viewpoint"] in (*self.card["viewpoints"], "calibrated")
         return row["viewpoint"] in self.card["viewpoints"] or row["viewpoint_role"] == "test"
 
-    def predict(self, videos: Videos, batch_size: int = 8) -> list[Prediction]:
+    def predict(self, videos: Videos) -> list[Prediction]:
         """Return a prediction for every video, each with the same augmented views as any other."""
         seen = self.frames_of(videos)
         return [
