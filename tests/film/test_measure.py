@@ -18,7 +18,7 @@ from support.refusal import refused, run
 from slipstitch.cli.measure import ALARM_EXIT_CODE
 from slipstitch.config import write_config
 from slipstitch.design.stage_path import StagePath
-from slipstitch.film.measure.measurement_files import MeasuredPair, names_of
+from slipstitch.film.measure.measurements import MeasuredPair, names_of
 from slipstitch.film.measure.measuring_bench import _half_width, measuring_bench
 from slipstitch.film.measure.pages import measurement_page
 from slipstitch.learning.instrument.alarm import Alarm

@@ -15,7 +15,7 @@ from support.refusal import refused, run
 from slipstitch.base.provenance import file_digest
 from slipstitch.config import load_config
 from slipstitch.film.measure import EXAMPLE_CAMERA, EXAMPLE_FOLDER, SHIPPED
-from slipstitch.film.measure.measurement_files import MeasuredPair
+from slipstitch.film.measure.measurements import MeasuredPair
 from slipstitch.film.measure.measuring_bench import MeasuringBench
 from slipstitch.film.measure.repeats import combined
 from slipstitch.learning.instrument.measuring import HALF_WIDTH, load_instrument

@@ -66,7 +66,7 @@ def _videos(arguments: options.Arguments):
     """Measure videos of one pair, and return what was read."""
     from slipstitch.film.captures_table import TOLD
     from slipstitch.film.measure import EXAMPLE_CAMERA, EXAMPLE_VIDEO
-    from slipstitch.film.measure.measurement_files import Film, measured_repeats
+    from slipstitch.film.measure.measurements import Film, measured_repeats
 
     videos, camera = list(arguments.videos), arguments.camera
     if arguments.example:
@@ -83,7 +83,7 @@ def _captures(arguments: options.Arguments):
     from functools import partial
 
     from slipstitch.base.progress import progress
-    from slipstitch.film.measure.captures import measured_captures
+    from slipstitch.film.measure.measurements import measured_captures
 
     bar = partial(progress, unit="pair")
     return measured_captures(arguments.captures, partial(_bench, arguments), bar)

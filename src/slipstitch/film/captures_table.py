@@ -21,6 +21,8 @@ from slipstitch.film.csv_table import (
 
 LARGEST_FRICTION = 10.0
 REFERENCE = ("mu_ref", "mu_ref_error")
+#: What a table says of a pair.
+LABELS = ("material", "substrate", *REFERENCE)
 #: What `slipstitch measure` can be told of a capture.
 TOLD = ("clamp_height_mm", "clamp_height_error_mm", "areal_density_g_m2", "bending_length_mm")
 
@@ -55,6 +57,21 @@ class Capture:
     def pair(self) -> str:
         """Id of the pair."""
         return self.id.split("_")[0]
+
+    @property
+    def labels(self) -> dict[str, Any]:
+        """What is said of the pair, by `LABELS`."""
+        return {name: getattr(self, name) for name in LABELS}
+
+    @property
+    def title(self) -> str:
+        """Name of the pair."""
+        return f"{self.material} on {self.substrate}"
+
+    @property
+    def reference(self) -> str:
+        """Friction measured by other means, in words; empty where it was not."""
+        return "" if self.mu_ref is None else f"{self.mu_ref:.3f} ± {self.mu_ref_error:.3f}"
 
 
 def read_references(path: str | Path) -> dict[tuple[str, str], tuple[float, float]]:
@@ -112,7 +129,7 @@ def read_captures(
         pair = pairs.setdefault(key, f"c{len(pairs):02d}")
         fields = row | {"surrogate": bool(row["surrogate"])}
         captures.append(Capture(id=f"{pair}_r{row['repeat']:02d}", **fields))
-    _check_rows(path, rows, captures)
+    _check_rows(path, captures)
     if len({capture.surrogate for capture in captures}) > 1:
         raise BadInput(f"{path}: must not mix surrogate and real captures")
     return captures
@@ -144,12 +161,12 @@ def _fill(row: dict[str, Any], known, path, reference) -> None:
         row["mu_ref"], row["mu_ref_error"] = known[key]
 
 
-def _check_rows(path, rows, captures: list[Capture]) -> None:
+def _check_rows(path, captures: list[Capture]) -> None:
     """Refuse a repeat or a video given twice, and rows of a pair that contradict one another."""
     seen: dict[Any, int] = {}
     references: dict[str, tuple[int, tuple]] = {}
-    for row, capture in zip(rows, captures, strict=True):
-        line, pair = row["line"], f"{capture.material} on {capture.substrate}"
+    for capture in captures:
+        line, pair = capture.line, capture.title
         digest = file_digest(capture.video)
         if capture.id in seen:
             raise BadInput(

@@ -14,8 +14,7 @@ from slipstitch.base.page.templates import render
 from slipstitch.base.page.wording import percent, span
 from slipstitch.base.provenance import provenance_record, write_json, write_text
 from slipstitch.film.measure import truth_of
-from slipstitch.film.measure.captures import MeasuredCaptures
-from slipstitch.film.measure.measurement_files import MeasuredPair
+from slipstitch.film.measure.measurements import MeasuredCaptures, MeasuredPair
 from slipstitch.film.measure.measuring_bench import MeasuredVideo
 from slipstitch.images.encoding import encode_png
 from slipstitch.learning.instrument.poses import TITLES, shown
@@ -204,17 +203,16 @@ def _pairs_figure(captures: MeasuredCaptures) -> Figure:
     """Every pair's combined interval, one below the other, beside its reference."""
     figure = new_figure(8.6, 0.9 + 0.3 * len(captures.pairs))
     axes = figure.subplots()
-    for row, pair in enumerate(captures.pairs):
-        if together := pair.measured.together:
-            if not pair.measured.without_error_bar:
-                axes.plot(together.interval_90, [row, row], color=SOFT, lw=2)
-            axes.plot(together.friction_coefficient, row, "o", color=INK, ms=5)
-        if pair.reference:
-            mu, error = pair.capture.mu_ref, pair.capture.mu_ref_error
-            axes.errorbar(mu, row + 0.25, xerr=error, fmt="D", color=VERMILION, ms=4)
-    axes.set_yticks(
-        range(len(captures.pairs)), [plain_text(_short(pair.title, 40)) for pair in captures.pairs]
-    )
+    for place, (row, pair) in enumerate(captures.pairs.items()):
+        if together := pair.together:
+            if not pair.without_error_bar:
+                axes.plot(together.interval_90, [place, place], color=SOFT, lw=2)
+            axes.plot(together.friction_coefficient, place, "o", color=INK, ms=5)
+        if row.reference:
+            mu, error = row.mu_ref, row.mu_ref_error
+            axes.errorbar(mu, place + 0.25, xerr=error, fmt="D", color=VERMILION, ms=4)
+    titles = [plain_text(_short(row.title, 40)) for row in captures.pairs]
+    axes.set_yticks(range(len(titles)), titles)
     axes.set_ylim(len(captures.pairs) - 0.5, -0.5)
     axes.set_xlabel("friction coefficient")
     return figure

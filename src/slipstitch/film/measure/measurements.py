@@ -1,8 +1,8 @@
-"""Measurements of one pair's videos: in words, all numbers, a table."""
+"""Measurements of one pair's videos, and of all pairs of a table: in words, numbers, a table."""
 
 import csv
 import io
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -10,6 +10,7 @@ from typing import Any
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import file_digest
+from slipstitch.film.captures_table import LABELS, TOLD, Capture, read_captures
 from slipstitch.film.csv_table import FORMULA
 from slipstitch.film.measure.measuring_bench import MeasuredVideo, MeasuringBench
 from slipstitch.film.measure.repeats import Repeats, combined
@@ -151,6 +152,59 @@ class MeasuredPair:
         return cells
 
 
+@dataclass(frozen=True)
+class MeasuredCaptures:
+    """All pairs of a table, in its order; at least one video was measured."""
+
+    # one row of each pair's, which agree in what is said of it -> what the pair's videos say
+    pairs: dict[Capture, MeasuredPair]
+
+    @property
+    def surrogate(self) -> bool:
+        """Whether the films are simulated, which are never called real."""
+        return next(iter(self.pairs)).surrogate
+
+    @property
+    def caveat(self) -> str:
+        """What is to be said of all films; empty if nothing."""
+        return "surrogate captures: simulated, not real" if self.surrogate else ""
+
+    @property
+    def videos(self) -> list:
+        """All videos that were measured."""
+        return [video for pair in self.pairs.values() for video in pair.videos]
+
+    @property
+    def refused(self) -> list[str]:
+        """Why each of the other videos could not be measured."""
+        pairs = self.pairs.values()
+        return [problem for pair in pairs for problem in pair.refused.values()]
+
+    def lines(self) -> list[str]:
+        """The result for a terminal."""
+        lines = [f"these are {self.caveat}"] if self.caveat else []
+        for row, pair in self.pairs.items():
+            beside = f"; reference {row.reference}" if row.reference else ""
+            lines.append(f"{row.title}: {pair.summary()}{beside}")
+            for video in pair.videos:
+                if video.alarm_reason:
+                    lines.append(f"  ALARM in {video.name}: {video.alarm_reason}")
+            lines += [f"  {remark}" for remark in pair.remarks()]
+        return lines
+
+    def numbers(self) -> dict[str, Any]:
+        """The result for a program."""
+        return {
+            "surrogate": self.surrogate,
+            "pairs": [row.labels | pair.numbers_of_repeats() for row, pair in self.pairs.items()],
+        }
+
+    def table(self) -> str:
+        """CSV: of every pair a row per video, measured or not, then the combined value."""
+        rows = (row.labels | cells for row, pair in self.pairs.items() for cells in pair.rows())
+        return csv_text((*LABELS, *COLUMNS), rows)
+
+
 def _cell(name: str) -> str:
     """A video's name that is neither taken for a formula nor for the last row."""
     return f"./{name}" if name == COMBINED or name.startswith((*FORMULA, "-")) else name
@@ -224,3 +278,53 @@ def names_of(videos: Sequence[Path]) -> list[str]:
     while len({part[-length:] for part in parts}) < len(parts):
         length += 1
     return [str(Path(*part[-length:])) for part in parts]
+
+
+def measured_captures(
+    table: str | Path,
+    bench_of: Callable[[Path], MeasuringBench],
+    progress: Callable[[Sequence], Iterable] = iter,
+) -> tuple[MeasuredCaptures, list[Path]]:
+    """Measure the videos of a captures table; return also the files that were read.
+
+    Parameters
+    ----------
+    table : path
+        See `slipstitch.film.captures_table.read_captures`; mu_ref may be missing.
+    bench_of : callable
+        Opens the bench behind a camera.
+    progress : callable
+        Is told the pairs, and returns what goes through them.
+
+    BadInput if the table, a camera, or what a row tells cannot be used, before any video is read;
+    or if no video at all can be measured.
+    """
+    captures = read_captures(table, referenced=False)
+    benches = {camera: bench_of(camera) for camera in dict.fromkeys(one.camera for one in captures)}
+    films = {one: _film(table, one, benches[one.camera]) for one in captures}
+    names = dict(zip(captures, names_of([one.video for one in captures]), strict=True))
+    of_pair: dict[str, list[Capture]] = {}
+    for one in captures:
+        of_pair.setdefault(one.pair, []).append(one)
+    result = MeasuredCaptures(
+        {
+            rows[0]: measured_pair([films[one] for one in rows], [names[one] for one in rows])
+            for rows in progress(list(of_pair.values()))
+        }
+    )
+    if not result.videos:
+        raise BadInput(
+            f"{table}: none of {len(captures)} videos can be measured; the first: "
+            f"{result.refused[0]}"
+        )
+    configs = {bench.config_path for bench in benches.values()}
+    return result, [Path(table), *benches, *configs, *(one.video for one in captures)]
+
+
+def _film(table: str | Path, capture: Capture, bench: MeasuringBench) -> Film:
+    """A row's video, and its bench with what the row tells."""
+    try:
+        told = bench.told(**{name: getattr(capture, name) for name in TOLD})
+    except BadInput as problem:
+        raise BadInput(f"{table} line {capture.line}: {problem}") from None
+    return Film(capture.video, told, capture.start_s, capture.frame_rate_hz)
