@@ -95,7 +95,7 @@ def calibrated(camera, rng):
 
 def found(frames, camera):
     """Return what the film tells behind a camera, or None."""
-    finder = EdgeFinder(camera, Schedule.of(CONFIG.simulation, CONFIG.render, CONFIG.sample))
+    finder = EdgeFinder(camera, Schedule.of(CONFIG))
     for time_s, image in frames:
         finder.add(time_s, image)
     return finder.found()

@@ -101,7 +101,7 @@ def main():
     chosen = parser.parse_args()
     started = start_clock()
     config = load_config(SHIPPED / "config.json")
-    frames = Schedule.of(config.simulation, config.render, config.sample).frame
+    frames = Schedule.of(config).frame
     files = sorted(chosen.simulations.glob("*.parquet"))
     runs = [read_trajectory(path) for path in files]
     friction = np.array([run.metadata["friction"] for run in runs])

@@ -28,7 +28,6 @@ from slipstitch.images.calibrated_view import cloth_room
 from slipstitch.images.camera_file import read_camera_file
 
 CONFIG = resolve_config({"simulation": {"frames": 92}})
-SETTINGS = CONFIG.simulation, CONFIG.render, CONFIG.sample
 
 
 def test_friction_lies_off_the_grid_and_differs_from_film_to_film():
@@ -114,7 +113,7 @@ def test_a_film_shows_all_that_its_clock_is_read_from_however_few_its_later_fram
     assert (seen_s <= 3).sum() == 37
     later_s = seen_s[seen_s > 8]
     assert np.allclose(np.diff(later_s), 25 / FRAME_RATE_HZ)
-    follower = StageFollower(true_camera(CONFIG), Schedule.of(*SETTINGS))
+    follower = StageFollower(true_camera(CONFIG), Schedule.of(CONFIG))
     chosen = follower.choose(seen_s, np.ones(len(seen_s), bool))
     # Three frames at rest, then nearly all of the drag's.
     assert len(chosen) >= 3 + 0.9 * len(later_s[later_s < path.duration_s])

@@ -51,7 +51,7 @@ def follower_of(
     seen=lambda image, time_s: image,
 ):
     """Has seen a film of the stage; its clock shows `clock` of the true time."""
-    schedule = Schedule.of(CONFIG.simulation, CONFIG.render, CONFIG.sample, viewpoint)
+    schedule = replace(Schedule.of(CONFIG), pose=pose(VIEWPOINTS[viewpoint]))
     follower = StageFollower(lens(viewpoint), schedule)
     random = np.random.default_rng(4)
     for time_s in chosen(follower, until_s):

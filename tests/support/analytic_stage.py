@@ -47,7 +47,7 @@ def protocol(frames: int = 24, sampled: int = 6, pixels: int = 64) -> tuple[Conf
     """A configuration that simulates and samples so many frames, and which of a film are needed."""
     counts = {"simulation": {"frames": frames}, "sample": {"frames": sampled}}
     config = resolve_config(counts | {"render": {"pixels": pixels}})
-    return config, Schedule.of(config.simulation, config.render, config.sample)
+    return config, Schedule.of(config)
 
 
 def camera_file(camera: Camera, path: Path) -> Path:

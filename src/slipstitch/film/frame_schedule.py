@@ -4,9 +4,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from slipstitch.config.dataset import SampleSettings
-from slipstitch.config.render import RenderSettings
-from slipstitch.config.simulation import SimulationSettings
+from slipstitch.config import Config
 from slipstitch.design.grid import sampled_frames
 from slipstitch.design.stage_path import SIDE_M, StagePath
 from slipstitch.images.calibrated_view import CalibratedView, viewpoint_pose
@@ -21,22 +19,17 @@ class Schedule(CalibratedView):
     path: StagePath = field(default_factory=StagePath)
 
     @classmethod
-    def of(
-        cls,
-        simulation: SimulationSettings,
-        render: RenderSettings,
-        sample: SampleSettings,
-        viewpoint: str = "calibrated",
-    ) -> "Schedule":
-        """The schedule of the dataset that a configuration makes, in one viewpoint."""
+    def of(cls, config: Config) -> "Schedule":
+        """The schedule of the dataset that a configuration makes, in the calibrated view."""
+        simulation = config.simulation
         path, rate_hz = StagePath(**dict(simulation.stage)), simulation.frame_rate_hz
         return cls(
-            viewpoint_pose(viewpoint, render),
-            render.pixels,
+            viewpoint_pose("calibrated", config.render),
+            config.render.pixels,
             path.position_m,
             np.arange(int(simulation.recorded_s * rate_hz) + 1) / rate_hz,
             (SIDE_M, SIDE_M),
-            sampled_frames(simulation.frames, sample.frames),
+            sampled_frames(simulation.frames, config.sample.frames),
             rate_hz,
             path,
         )

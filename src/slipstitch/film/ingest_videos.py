@@ -66,7 +66,7 @@ def ingest(
     """
     started = start_clock()
     captures = read_captures(table, reference)
-    schedule = Schedule.of(config.simulation, config.render, config.sample)
+    schedule = Schedule.of(config)
     lenses = {path: read_camera_file(path) for path in {capture.camera for capture in captures}}
     manifest, known = [], []
     for capture in progress(captures):

@@ -330,7 +330,7 @@ def opened_bench(
             f"{config_path}: sample.frames is {sampled}, the instrument in {model} was trained "
             f"with {frames}; give its configuration with --config"
         )
-    schedule = Schedule.of(settings.simulation, settings.render, settings.sample)
+    schedule = Schedule.of(settings)
     # Of a dataset with more frames than it sees, an instrument takes some at regular intervals.
     schedule = replace(schedule, frame=schedule.frame[sampled_frames(sampled, frames)])
     floors = list(settings.render.floors)
@@ -358,10 +358,7 @@ def _trained_height_error_m(lens: Camera) -> float:
 
 def shipped_for(config: Config) -> Path | None:
     """Return the shipped instrument's folder, if a dataset has its path, times and viewpoint."""
-    trained, videos = (
-        Schedule.of(one.simulation, one.render, one.sample)
-        for one in (load_config(SHIPPED / "config.json"), config)
-    )
+    trained, videos = map(Schedule.of, (load_config(SHIPPED / "config.json"), config))
     alike = (
         "calibrated" in config.render.viewpoints
         and videos.path == trained.path
