@@ -22,6 +22,9 @@ from slipstitch.learning.evaluation.trained import Trained
 from slipstitch.learning.instrument.measuring import save_instrument
 from slipstitch.learning.lrcn import load_model
 
+CONFIG = synthetic_videos.config(
+    train={"epochs_per_cycle": 1, "fine_tuning_epochs": 0, "plateau_margin": None}
+)
 CLASSES = captured(
     [0.3, 0.3, 0.3, 0.3, 0.3, 0.5, 0.6, 0.6, 0.7, 0.9],
     fabrics=[["denim", "silk"]] * 5 + [["silk", "denim"]] * 5,
@@ -84,16 +87,13 @@ def test_scores_of_an_instrument():
 def bench(tmp_path_factory):
     """Networks trained for a moment on drawn videos, and four captures of a bench drawn too."""
     folder = tmp_path_factory.mktemp("captures")
-    config = synthetic_videos.config(
-        train={"epochs_per_cycle": 1, "fine_tuning_epochs": 0, "plateau_margin": None}
-    )
-    synthetic_videos.write_dataset(config, folder)
-    networks = train_networks(config, folder, "by_video")
+    synthetic_videos.write_dataset(CONFIG, folder)
+    networks = train_networks(CONFIG, folder, "by_video")
     instrument = untrained_instrument()
     of_dataset = load_model(networks / "friction_baseline" / "seed0").card["dataset_digest"]
     instrument.card.update(split="by_simulation", dataset_digest=of_dataset)
     save_instrument(instrument, folder / "instrument" / "by_simulation" / "seed0")
-    write_config(config, folder / "config.json")
+    write_config(CONFIG, folder / "config.json")
     lens = stage.lens_camera(*pose(VIEWPOINTS["calibrated"]), size=(160, 120))
     stage.camera_file(lens, folder / "camera.json")
     seen = stage.Bench(lens)
@@ -160,7 +160,7 @@ def test_models_of_different_datasets_do_not_stand_beside_one_another(bench, tmp
     other = untrained_instrument()
     other.card.update(split="by_simulation", dataset_digest="00" * 32)
     save_instrument(other, tmp_path / "by_simulation" / "seed0")
-    found, out = Trained(bench / "train", tmp_path), tmp_path / "metrics.json"
+    found, out = Trained(CONFIG, bench / "train", tmp_path), tmp_path / "metrics.json"
     with pytest.raises(BadInput, match="seed 0 were trained on different datasets"):
         write_captures_evaluation(ingested(bench, "surrogates"), found, out, tmp_path / "p.parquet")
     assert not out.exists()
@@ -170,7 +170,7 @@ def test_the_shipped_instrument_is_scored_once_though_it_is_of_another_dataset(b
     other = untrained_instrument()
     other.card.update(split="by_simulation", dataset_digest="00" * 32)
     save_instrument(other, tmp_path)
-    trained = Trained(bench / "train", shipped=tmp_path)
+    trained = Trained(CONFIG, bench / "train", shipped=tmp_path)
     out, predictions = tmp_path / "metrics.json", tmp_path / "p.parquet"
     page = tmp_path / "page.html"
     write_captures_evaluation(ingested(bench, "surrogates"), trained, out, predictions, page)
@@ -181,7 +181,7 @@ def test_the_shipped_instrument_is_scored_once_though_it_is_of_another_dataset(b
     assert metrics[shipped[0]]["n"] == 4
     # A wrong folder of others is none the less refused.
     with pytest.raises(BadInput, match="nowhere: no trained model for captures found"):
-        trained = Trained(instruments="nowhere", shipped=tmp_path)
+        trained = Trained(CONFIG, instruments="nowhere", shipped=tmp_path)
         write_captures_evaluation(ingested(bench, "surrogates"), trained, out, predictions)
 
 

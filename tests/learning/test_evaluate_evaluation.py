@@ -103,6 +103,12 @@ def said(evaluated):
     return found
 
 
+def with_seeds(config, seeds, *sections):
+    """The configuration with other seeds in some sections."""
+    changed = {name: getattr(config, name).model_copy(update={"seeds": seeds}) for name in sections}
+    return config.model_copy(update=changed)
+
+
 def evaluate(chain, trained, out, **options):
     names = ("metrics.json", "predictions.parquet", "details.json")
     outputs = tuple(out / name for name in names)
@@ -256,7 +262,8 @@ def test_wrong_inputs_are_what_they_are_called():
 def test_models_of_an_earlier_configuration_do_not_count(chain):
     def found(**changes):
         train = CONFIG.train.model_copy(update=changes)
-        return {split for split, _, _ in Trained(chain / "train", train=train).load()}
+        config = CONFIG.model_copy(update={"train": train})
+        return {split for split, _, _ in Trained(config, chain / "train").load()}
 
     assert found() == set(TRAINED_ON)
     assert found(splits=["by_video"]) == {"by_video"}
@@ -275,12 +282,12 @@ def test_models_that_do_not_belong_together_or_to_the_dataset_are_refused(chain,
         ("untold", "has no matching material_baseline"),
     ):
         with pytest.raises(BadInput, match=problem):
-            Trained(tmp_path / folder).load()
+            Trained(CONFIG, tmp_path / folder).load()
     sample = CONFIG.sample.model_copy(update={"test_fraction": 0.3})
     shards = sorted((chain / "render").glob("*.parquet"))
     write_dataset(CONFIG.model_copy(update={"sample": sample}), shards, tmp_path / "sample")
     with pytest.raises(BadInput, match="was not trained on"):
-        evaluate(tmp_path, Trained(chain / "train"), tmp_path)
+        evaluate(tmp_path, Trained(CONFIG, chain / "train"), tmp_path)
 
 
 def test_the_shipped_instrument_predicts_for_the_calibrated_view_of_its_protocol(tmp_path):
@@ -291,7 +298,7 @@ def test_the_shipped_instrument_predicts_for_the_calibrated_view_of_its_protocol
     assert shipped_for(config) == SHIPPED
     shards = synthetic_videos.write_shards(config, tmp_path / "render")
     write_dataset(config, shards, tmp_path / "sample")
-    evaluate(tmp_path, Trained(train=config.train, shipped=shipped_for(config)), tmp_path)
+    evaluate(tmp_path, Trained(config, shipped=shipped_for(config)), tmp_path)
     rows = predictions(tmp_path / "predictions.parquet")
     assert {row["network"] for row in rows} == {"instrument_shipped"}
     assert {row["viewpoint"] for row in rows} == {"calibrated"}
@@ -324,7 +331,8 @@ def test_instruments_alone_are_evaluated_by_camera_fabric_and_coefficient(tmp_pa
     def evaluated(seeds, **options):
         """Scores and details of the only split."""
         with contextlib.chdir(tmp_path):
-            instruments = Trained(None, tmp_path / "instrument", instrument_seeds=seeds)
+            own = with_seeds(config, seeds, "instrument")
+            instruments = Trained(own, None, tmp_path / "instrument")
             assert set(evaluate(tmp_path, instruments, tmp_path, **options)) == {"by_simulation"}
         return [content(path)["by_simulation"] for path in jsons]
 
@@ -408,7 +416,7 @@ def test_scores_of_models_whose_weights_are_on_another_machine_stay(chain, tmp_p
     other = tmp_path / "other" / "sample"
     write_manifest(read_manifest(other)[0], other, {"wall_s": 1})
     whole, pieces = tmp_path / "whole", tmp_path / "pieces"
-    trained = Trained("train", "instrument", CONFIG.train, CONFIG.instrument.seeds)
+    trained = Trained(CONFIG, "train", "instrument")
     for machine, out in ((chain, whole), (tmp_path / "one", pieces)):
         with contextlib.chdir(machine):
             evaluate(Path(), trained, out)
@@ -416,11 +424,11 @@ def test_scores_of_models_whose_weights_are_on_another_machine_stay(chain, tmp_p
     with contextlib.chdir(tmp_path / "other"):
         evaluate(Path(), trained, pieces, update=True)
         # A seed that the configuration has no longer does not count.
-        train = CONFIG.train.model_copy(update={"seeds": [5]})
-        wanted = replace(trained, train=train, instrument_seeds=[5])
+        wanted = replace(trained, config=with_seeds(CONFIG, [5], "train", "instrument"))
         assert trained.elsewhere(first) and not wanted.elsewhere(first)
         again = shutil.copytree(pieces, tmp_path / "again")
-        evaluate(Path(), replace(trained, instrument_seeds=[5]), again, update=True)
+        other_seed = replace(trained, config=with_seeds(CONFIG, [5], "instrument"))
+        evaluate(Path(), other_seed, again, update=True)
         assert "instrument" not in content(again / "metrics.json")[KEPT]
 
     def in_order(folder):

@@ -353,10 +353,12 @@ def test_what_does_not_belong_together_is_refused(dataset, members, ensemble, tm
 
 
 def test_it_is_found_beside_its_members_and_only_with_them(members, folder, tmp_path):
-    def found(folder, seeds=None):
-        return [key[2] for key in Trained(instruments=folder, instrument_seeds=seeds).load()]
+    def found(folder, seeds=SEEDS):
+        instrument = CONFIG.instrument.model_copy(update={"seeds": seeds})
+        config = CONFIG.model_copy(update={"instrument": instrument})
+        return [key[2] for key in Trained(config, instruments=folder).load()]
 
-    assert found(folder, SEEDS) == [0, 1, 2, None]
+    assert found(folder) == [0, 1, 2, None]
     assert found(folder, [1]) == [1]
     copy = shutil.copytree(folder, tmp_path / "copy")
     shutil.rmtree(copy / "by_simulation/seed2")

@@ -217,7 +217,8 @@ def _networks(config, folder: Path) -> Found:
     save_model(network.state_dict(), card, models)
     yield "weights", models / "model.safetensors", lambda: load_model(models)
     yield "model card", models / "model.json", lambda: load_model(models)
-    yield "models of a folder", models / "model.json", lambda: Trained(folder / "models").load()
+    trained = Trained(config, folder / "models")
+    yield "models of a folder", models / "model.json", trained.load
     optimizer = torch.optim.Adadelta(network.parameters())
     path = folder / "checkpoint.safetensors"
     save_checkpoint(path, {"a": 1}, Progress(), network, optimizer, start_clock())

@@ -168,13 +168,7 @@ def evaluate(arguments: options.Arguments) -> None:
     config = options.configuration(arguments)
     if not (arguments.models or arguments.instruments):
         raise BadInput("--models, --instruments or both are required")
-    trained = Trained(
-        arguments.models,
-        arguments.instruments,
-        config.train,
-        config.instrument.seeds,
-        shipped_for(config),
-    )
+    trained = Trained(config, arguments.models, arguments.instruments, shipped_for(config))
     if arguments.captures:
         _captures(arguments, trained)
         return

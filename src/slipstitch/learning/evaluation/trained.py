@@ -7,7 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from slipstitch.base.errors import BadInput
-from slipstitch.config.train import NETWORKS, TRAINED_ON, TrainSettings
+from slipstitch.config import Config
+from slipstitch.config.train import NETWORKS, TRAINED_ON
 from slipstitch.design.trainable import trainings
 from slipstitch.learning.evaluation.scores import (
     AVERAGE,
@@ -31,20 +32,18 @@ Key = tuple[str, str, int | None]
 class Trained:
     """Which models count."""
 
+    config: Config  # splits and seeds that it has not, left by an earlier one, do not count
     # folder ``{split}/{network}/seed{seed}/`` that the train stage wrote
     networks: str | Path | None = None
     # folder ``{split}/seed{seed}/``, ``{split}/ensemble/`` that the instrument stage wrote
     instruments: str | Path | None = None
-    # which splits and seeds count; others, left by an earlier configuration, do not
-    train: TrainSettings | None = None
-    instrument_seeds: list[int] | None = None  # which seeds of instruments count
     # folder of the instrument that comes with Slipstitch, to which all test videos are new
     shipped: str | Path | None = None
 
     @property
     def splits(self) -> Sequence[str]:
         """Splits that count."""
-        return TRAINED_ON if self.train is None else self.train.splits
+        return self.config.train.splits
 
     def files(self) -> dict[str, list[Path]]:
         """Return the files that the predictions of every kind of model depend on."""
@@ -92,15 +91,13 @@ class Trained:
 
     def _has(self, split: str, network: str, name: str) -> bool:
         """The same of one of its splits, by the name of the folder."""
-        seeds = self.instrument_seeds
+        seeds = self.config.instrument.seeds
         if network in NETWORKS:
-            if self.train is None:
-                return True
-            of_split = trainings(self.train, split)
+            of_split = trainings(self.config.train, split)
             seeds = [seed for other, seed in of_split if other == network]
-        if seeds is not None and name == ENSEMBLE:
+        if name == ENSEMBLE:
             return len(seeds) > 1  # of a single seed no average is configured
-        return seeds is None or name in {f"seed{seed}" for seed in seeds}
+        return name in {f"seed{seed}" for seed in seeds}
 
     def load(self, without: frozenset[str] = frozenset()) -> dict[Key, LrcnModel | Instrument]:
         """Return the models but those of some kinds; BadInput if one is not what its place says."""
