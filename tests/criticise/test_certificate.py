@@ -35,8 +35,7 @@ def power(folder, replicates=100):
     case = read_case(folder, with_measurements=False)
     assumed = assumptions_of(case)
     design = expected(case, assumed, 1)
-    plain, scatters = plain_model(design, assumed)
-    return of_design(design, plain, scatters, 1, replicates)
+    return of_design(plain_model(design, assumed), 1, replicates)
 
 
 def test_more_trials_show_smaller_effects_and_none_shows_what_nothing_would(tmp_path):
@@ -117,12 +116,12 @@ def test_false_alarms_are_counted_in_campaigns_that_hold_nothing(tmp_path):
     planted(93, tmp_path, {}, "incline")
     m = measured(tmp_path)
     null = analyse(m, replicates=50)
-    scatters = null.null_state.scatters
-    quiet = false_alarms(m, null.null, scatters, 8, 1, 50)
+    state = replace(null.null_state, measurements=m)
+    quiet = false_alarms(state, 8, 1, 50)
     assert quiet["campaigns"] == 8 and quiet["estimate"] <= 0.25
     # A null that is none: friction along the nap that the null does not know of.
     along = np.cos(np.radians(m.rows["orientation_deg"].to_numpy(float)))
     loud = replace(null.null, prediction=null.null.prediction * (1 + 0.2 * along))
-    assert false_alarms(m, loud, scatters, 3, 1, 50)["estimate"] == 1.0
+    assert false_alarms(replace(state, fitted=loud), 3, 1, 50)["estimate"] == 1.0
     low, high = quiet["ci95"]
     assert 0 <= low <= quiet["estimate"] <= high < 0.7

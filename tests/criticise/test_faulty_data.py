@@ -94,13 +94,11 @@ def test_an_excess_at_rest_and_one_that_ages_are_one_where_every_rest_is_as_long
     campaign.write(plan, tmp_path)
     state = robust_fit(measured(tmp_path))
     null = state.fitted
-    judge = Judge(state.measurements, null, state.scatters, state.sensitivity, {})
+    judge = Judge(state.measurements, null, state.scatters, {})
     static, ageing = (judge.candidate((name,)) for name in plan.tie)
     # Below what a trace shows there is no slope: the fit must not stay where it starts.
     assert static.credit == pytest.approx(ageing.credit, abs=1.0) and static.credit > 10
-    columns = null.jacobian, state.measurements.zero_columns
-    rivals = closest_rivals(state.tests, *columns, state.groups, state.scatters)
-    assert rivals["ageing"] == (0.0, "static_kinetic")
+    assert closest_rivals(state)["ageing"] == (0.0, "static_kinetic")
 
 
 def with_frames(folder, spoil):

@@ -18,9 +18,8 @@ from slipstitch.base.provenance import provenance_record, start_clock, write_jso
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.expected_traces import ASSUMPTIONS, assumptions_of, expected
 from slipstitch.criticise.inference.certificate import certificate, of_design, plain_model
-from slipstitch.criticise.inference.fit import Fit
-from slipstitch.criticise.inference.mixed_model import Scatter, make_groups
-from slipstitch.criticise.measurements import Measurements, assemble
+from slipstitch.criticise.inference.state import State
+from slipstitch.criticise.measurements import assemble
 from slipstitch.criticise.statement import false_alarm_words, statement
 from slipstitch.criticise.verdict import analyse
 from slipstitch.criticise.verdict_data import extended_model, verdict_of
@@ -28,29 +27,21 @@ from slipstitch.criticise.verdict_data import extended_model, verdict_of
 NO_ALARM = ("none", "insufficient")
 
 
-def false_alarms(
-    measurements: Measurements,
-    null: Fit,
-    scatters: dict[str, Scatter],
-    campaigns: int,
-    seed: int,
-    replicates: int,
-) -> dict:
+def false_alarms(null: State, campaigns: int, seed: int, replicates: int) -> dict:
     """How often campaigns that hold nothing are said to hold something, with a 95 % interval.
 
     Features are drawn from a fitted null and judged, from the fit of the scatter to the verdict.
     Instruments and scatters are normal, sensors' zeros as usual; bounds stay what they are.
     """
     rng = np.random.default_rng([seed, 23])
-    groups = make_groups(measurements, null.sensitivity())
-    alarms = 0
+    m, alarms = null.measurements, 0
     for number in range(campaigns):
-        y = np.where(measurements.lower_bound, measurements.y, null.prediction)
-        for group in groups:
-            zeros = measurements.zero_columns[group.index]
-            drawn = group.drawn(scatters[group.protocol], rng, 1)[:, 0]
+        y = np.where(m.lower_bound, m.y, null.fitted.prediction)
+        for group in null.groups:
+            zeros = m.zero_columns[group.index]
+            drawn = group.drawn(null.scatters[group.protocol], rng, 1)[:, 0]
             y[group.index] += drawn + zeros @ rng.standard_normal(zeros.shape[1])
-        campaign = replace(measurements, y=y, rows=measurements.rows.assign(y=y), implausible=())
+        campaign = replace(m, y=y, rows=m.rows.assign(y=y), implausible=())
         alarms += analyse(campaign, seed + number, replicates).verdict not in NO_ALARM
     interval = binomtest(alarms, campaigns).proportion_ci(method="wilson")
     return {
@@ -86,8 +77,8 @@ def criticise_to_files(
     verdict = verdict_of(case, analysis, seed, __version__)
     if campaigns:
         m = replace(analysis.measurements, sound_sensors=False)
-        scatters = analysis.null_state.scatters
-        rate = false_alarms(m, analysis.null, scatters, campaigns, seed, replicates)
+        null = replace(analysis.null_state, measurements=m)
+        rate = false_alarms(null, campaigns, seed, replicates)
         verdict["certificate"]["false_alarm_rate"] = rate
     write_json(paths["verdict"], finite(verdict), record())
     again = None
@@ -134,12 +125,10 @@ def power_to_file(case: Case, seed: int, replicates: int, path: str, campaigns: 
     started = start_clock()
     assumed = assumptions_of(case)
     design = expected(case, assumed, seed)
-    plain, scatters = plain_model(design, assumed)
-    found = of_design(design, plain, scatters, seed, replicates)
-    shown = certificate(found)
+    plain = plain_model(design, assumed)
+    shown = certificate(of_design(plain, seed, replicates))
     if campaigns:
-        rate = false_alarms(design, plain, scatters, campaigns, seed, replicates)
-        shown["false_alarm_rate"] = rate
+        shown["false_alarm_rate"] = false_alarms(plain, campaigns, seed, replicates)
     record = _record(case, seed, replicates, campaigns, started)
     write_json(path, {"case": case.name, "seed": seed, "assumed": assumed, **shown}, record)
     lines = ["assumed (meta.json may say otherwise under design):"]

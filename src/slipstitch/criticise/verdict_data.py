@@ -113,7 +113,7 @@ def _model(analysis: Analysis, fitted: Fit) -> dict:
     Zeros are [value, standard deviation] in units of :attr:`Zero.sd`, by protocol and field.
     """
     zeros: dict[str, dict[str, list[float]]] = {}
-    found, covariance = estimated_zeros(analysis.measurements, fitted, analysis.state)
+    found, covariance = estimated_zeros(fitted, analysis.state)
     own = zip(analysis.measurements.zeros, found, np.sqrt(np.diag(covariance)), strict=True)
     for (protocol, zero), value, sd in own:
         zeros.setdefault(protocol, {})[zero.field] = [float(value), float(sd)]

@@ -78,16 +78,20 @@ class Judge:
     Attributes
     ----------
     null : fit of the null, from which all start.
-    scatters, sensitivity : of the null.
+    scatters : of the null.
     inflation : of the mechanisms' test statistics.
     """
 
     measurements: Measurements
     null: Fit
     scatters: dict[str, Scatter]
-    sensitivity: np.ndarray
     inflation: dict[str, float]
     bases: dict[bytes, Refit] = field(default_factory=dict)
+
+    @property
+    def sensitivity(self) -> np.ndarray:
+        """(n,) d(feature)/d(ln mu) of the null."""
+        return self.null.sensitivity()
 
     def candidate(self, causes: tuple[str, ...], start: Fit | None = None) -> Candidate:
         """Fit a set of causes; ``start`` is the fit of a part of them."""
@@ -337,7 +341,6 @@ def _testable(left: Outcome) -> set[str]:
 def _beside(judge: Judge, single: Candidate) -> tuple[list[Test], np.ndarray]:
     """Tests of all further mechanisms beside a single one, and their likelihood ratios."""
     m, fitted = judge.measurements, single.fitted
-    found = alternatives(m, fitted)
-    tests = [test for test in found.tests if test.family == "mechanism"]
-    groups = make_groups(m, found.sensitivity)
+    tests = [test for test in alternatives(m, fitted)[0] if test.family == "mechanism"]
+    groups = make_groups(m, fitted.sensitivity())
     return tests, ratios_of(m, fitted, tests, groups, single.scatters).observed().max(axis=0)

@@ -22,9 +22,9 @@ from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.inference import mixed_model
 from slipstitch.criticise.inference.candidates import TIE_BIC, Candidate
 from slipstitch.criticise.inference.fit import Fit, carried_over, jacobian, named
-from slipstitch.criticise.inference.mixed_model import Group, Scatter
-from slipstitch.criticise.inference.state import alternatives, ratios_of
-from slipstitch.criticise.inference.structure import ERROR_WEIGHTS, SIGNIFICANCE, Outcome, Test
+from slipstitch.criticise.inference.mixed_model import Scatter
+from slipstitch.criticise.inference.state import State, alternatives
+from slipstitch.criticise.inference.structure import ERROR_WEIGHTS, SIGNIFICANCE, Outcome
 from slipstitch.criticise.measurements import Measurements, measurements_of
 from slipstitch.criticise.protocols import PROTOCOLS
 from slipstitch.criticise.protocols.protocol import Protocol
@@ -67,16 +67,15 @@ class Detectable:
     rival: str = ""
 
 
-def smallest_detectable(
-    outcome: Outcome, fitted: Fit, rivals: dict[str, tuple[float, str]]
-) -> dict[str, Detectable]:
-    """The smallest effect of every mechanism beside a fitted model."""
-    sensitivity = fitted.sensitivity()
+def smallest_detectable(state: State, outcome: Outcome) -> dict[str, Detectable]:
+    """The smallest effect of every mechanism beside a fitted model, by its tests' outcome."""
+    sensitivity = state.sensitivity
     acting = sensitivity != 0
     found: dict[str, Detectable] = {}
     largest = outcome.largest.get("mechanism")
     if largest is None or outcome.information is None:
         return found
+    rivals = closest_rivals(state)
     critical = float(np.quantile(largest, 1.0 - SIGNIFICANCE * ERROR_WEIGHTS["mechanism"]))
     noncentrality: dict[tuple[int, float], float] = {}
     for i, test in enumerate(outcome.tests):
@@ -107,20 +106,12 @@ def smallest_detectable(
     return found
 
 
-def closest_rivals(
-    tests: list[Test],
-    base: np.ndarray,
-    zeros: np.ndarray,
-    groups: list[Group],
-    scatters: dict[str, Scatter],
-) -> dict[str, tuple[float, str]]:
-    """The share of every mechanism's information that its closest rival leaves, and that rival.
-
-    ``base`` and ``zeros`` are columns of the fitted model, the latter with unit prior sd.
-    """
-    mechanisms = [test for test in tests if test.mechanism is not None]
+def closest_rivals(state: State) -> dict[str, tuple[float, str]]:
+    """The share of every mechanism's information that its closest rival leaves, and that rival."""
+    mechanisms = [test for test in state.tests if test.mechanism is not None]
+    base, zeros = state.fitted.jacobian, state.measurements.zero_columns
     columns = np.column_stack([base, zeros, *(test.columns for test in mechanisms)])
-    gram = mixed_model.gram_of(groups, scatters, columns)
+    gram = mixed_model.gram_of(state.groups, state.scatters, columns)
     fixed = base.shape[1] + zeros.shape[1]
     size = np.sqrt(np.maximum(gram.diagonal(), 1e-300))
     gram = gram / size / size[:, None]
@@ -157,10 +148,8 @@ def _needed(threshold: float, degrees: int) -> float:
     return float(brentq(missing, 1e-9, 50.0 + 4.0 * threshold))
 
 
-def plain_model(
-    design: Measurements, assumed: Mapping[str, float]
-) -> tuple[Fit, dict[str, Scatter]]:
-    """The null of a campaign that is still to be made, and the scatter of each protocol.
+def plain_model(design: Measurements, assumed: Mapping[str, float]) -> State:
+    """Plain friction in a campaign that is still to be made, and the scatter of each protocol.
 
     ``assumed``: the coefficients, ``scatter_specimen``, ``scatter_run`` and ``noise_factor``.
     """
@@ -176,20 +165,15 @@ def plain_model(
         scatters[block.protocol] = Scatter(
             assumed["scatter_specimen"], assumed["scatter_run"], factor
         )
-    return Fit((), parameters, values, 0.0, prediction, columns, np.zeros((0, 0))), scatters
+    plain = Fit((), parameters, values, 0.0, prediction, columns, np.zeros((0, 0)))
+    return State(design, plain, scatters, *alternatives(design, plain))
 
 
-def of_design(
-    design: Measurements, plain: Fit, scatters: dict[str, Scatter], seed: int, replicates: int
-) -> dict[str, Detectable]:
+def of_design(plain: State, seed: int, replicates: int) -> dict[str, Detectable]:
     """The same for a campaign that is still to be made, at its plain model."""
-    tests = alternatives(design, plain).tests
-    groups = mixed_model.make_groups(design, plain.sensitivity())
-    exact = replace(design, y=plain.prediction)
-    ratios = ratios_of(exact, plain, tests, groups, scatters)
-    outcome = ratios.outcome(np.random.default_rng(seed), replicates)
-    rivals = closest_rivals(tests, plain.jacobian, design.zero_columns, groups, scatters)
-    return smallest_detectable(outcome, plain, rivals)
+    exact = replace(plain.measurements, y=plain.fitted.prediction)
+    outcome = replace(plain, measurements=exact).outcome(np.random.default_rng(seed), replicates)
+    return smallest_detectable(plain, outcome)
 
 
 def certificate(detectable: dict[str, Detectable]) -> dict:

@@ -10,11 +10,7 @@ import numpy as np
 from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.inference import candidates
 from slipstitch.criticise.inference.candidates import Candidate, Judge
-from slipstitch.criticise.inference.certificate import (
-    Detectable,
-    closest_rivals,
-    smallest_detectable,
-)
+from slipstitch.criticise.inference.certificate import Detectable, smallest_detectable
 from slipstitch.criticise.inference.faulty_data import robust_fit
 from slipstitch.criticise.inference.fit import Fit, Weights, fit
 from slipstitch.criticise.inference.intervals import Intervals
@@ -79,10 +75,7 @@ class Evidence:
     @cached_property
     def detectable(self) -> dict[str, Detectable]:
         """The smallest effect of every mechanism that would have been seen, and named."""
-        state = self.null_state
-        columns = self.null.jacobian, state.measurements.zero_columns
-        rivals = closest_rivals(state.tests, *columns, state.groups, state.scatters)
-        return smallest_detectable(self.null_outcome, self.null, rivals)
+        return smallest_detectable(self.null_state, self.null_outcome)
 
     @cached_property
     def screened(self) -> list[Candidate]:
@@ -126,7 +119,7 @@ class Evidence:
         null, state = self.null, self.null_state
         m = state.measurements
         inflation = self.null_outcome.mechanism_inflation()
-        judge = Judge(m, null, state.scatters, state.sensitivity, inflation)
+        judge = Judge(m, null, state.scatters, inflation)
         ranking = judge.ranked(candidates.promising(self.screened))
         # Outliers are judged again beside the best model: what the null could not explain, it may.
         beside: set[tuple[str, ...]] = set()
@@ -138,7 +131,7 @@ class Evidence:
                 m = found
                 weights = Weights(m, state.sensitivity, state.scatters)
                 base = fit(m, weights, (), null.as_dict())
-                judge = Judge(m, base, state.scatters, base.sensitivity(), inflation)
+                judge = Judge(m, base, state.scatters, inflation)
                 ranking = judge.ranked(ranking, fitted=True)
         imprecise = candidates.with_law_error(m, ranking[0].fitted)
         if imprecise is not m:

@@ -18,13 +18,13 @@ from slipstitch.criticise.inference import mixed_model
 from slipstitch.criticise.inference.fit import Fit, Weights, fit
 from slipstitch.criticise.inference.mixed_model import Clusters, Group, Scatter
 from slipstitch.criticise.inference.state import (
-    Alternatives,
     State,
     alternatives,
     rich_columns,
+    scatters_of,
     state_at,
 )
-from slipstitch.criticise.inference.structure import minus_log10_p
+from slipstitch.criticise.inference.structure import Test, minus_log10_p
 from slipstitch.criticise.measurements import Measurements, Outlier
 
 # Prior probabilities of the wide component; its standard deviation in ln mu of a run, and in units
@@ -71,9 +71,9 @@ def robust_fit(
 ) -> State:
     """Fit causes with heavy tails; the state's measurements allow for what lies far off."""
     fitted = start or _first_fit(measurements, causes)
-    found = alternatives(measurements, fitted)
-    allowing = with_heavy_tails(measurements, fitted, found)
-    scatters = state_at(allowing, fitted, found=found).scatters
+    tests, _ = alternatives(measurements, fitted)
+    allowing = with_heavy_tails(measurements, fitted, tests)
+    scatters = scatters_of(allowing, fitted, fitted.sensitivity(), {})
     for _ in range(2):
         weights = Weights(allowing, fitted.sensitivity(), scatters)
         fitted = fit(allowing, weights, causes, fitted.as_dict())
@@ -94,15 +94,15 @@ def _first_fit(measurements: Measurements, causes: tuple[str, ...]) -> Fit:
     return fitted
 
 
-def with_heavy_tails(measurements: Measurements, fitted: Fit, found: Alternatives) -> Measurements:
+def with_heavy_tails(measurements: Measurements, fitted: Fit, tests: list[Test]) -> Measurements:
     """The measurements with wider uncertainties and runs where they lie far off a fit."""
     m = measurements
     u, astray, outliers = m.u.copy(), m.astray.copy(), []
     residual = m.y - fitted.prediction
-    for group in mixed_model.make_groups(m, found.sensitivity):
+    for group in mixed_model.make_groups(m, fitted.sensitivity()):
         if len(np.unique(group.run)) < FEWEST_RUNS:
             continue
-        tails = _Tails(m, group, residual[group.index], found)
+        tails = _Tails(m, group, residual[group.index], tests)
         for number in range(ROUNDS):
             tails.update(number)
         u[group.index], astray[group.index] = tails.group.u, tails.group.astray
@@ -132,13 +132,13 @@ class _Far:
 class _Tails:
     """The tails of one protocol's features about a fit, updated in turn with its scatter."""
 
-    def __init__(self, measurements: Measurements, group: Group, residual, found: Alternatives):
+    def __init__(self, measurements: Measurements, group: Group, residual, tests: list[Test]):
         self._m, self._stated, self.group = measurements, group, group
-        tested = (test.columns for test in found.tests if test.nuisance is None)
+        tested = (test.columns for test in tests if test.nuisance is None)
         self._residual, self._tested = residual, [columns[group.index] for columns in tested]
         # Effects would count as scatter, and hide what lies far off, without columns for them.
         self._rich = np.column_stack(
-            [rich_columns(found.tests, group), mixed_model.zeros_of(measurements, group)]
+            [rich_columns(tests, group), mixed_model.zeros_of(measurements, group)]
         )
         self._free, self._effects = group.level(), 0
         self._scatter = mixed_model.START_SCATTER
@@ -279,14 +279,12 @@ class _Tails:
         return found
 
 
-def estimated_zeros(
-    measurements: Measurements, fitted: Fit, state: State, usual: bool = True
-) -> tuple[np.ndarray, np.ndarray]:
+def estimated_zeros(fitted: Fit, state: State, usual: bool = True) -> tuple[np.ndarray, np.ndarray]:
     """Zeros in units of their prior sd, and their covariance, beside a fitted model.
 
     ``usual``: with their priors; else each one without its own, beside the others with theirs.
     """
-    m, count = measurements, measurements.zero_columns.shape[1]
+    m, count = state.measurements, state.measurements.zero_columns.shape[1]
     if not count or not state.groups:
         return np.zeros(count), np.zeros((count, count))
     residual = m.y - fitted.prediction
@@ -306,17 +304,11 @@ def estimated_zeros(
     return values, np.diag(variances)
 
 
-def without_zeros(measurements: Measurements, fitted: Fit, state: State) -> np.ndarray:
-    """Residuals less what the sensors' zeros explain, (n,)."""
-    values, _ = estimated_zeros(measurements, fitted, state)
-    return measurements.y - fitted.prediction - measurements.zero_columns @ values
-
-
-def zero_findings(measurements: Measurements, fitted: Fit, state: State) -> list[DataFinding]:
+def zero_findings(fitted: Fit, state: State) -> list[DataFinding]:
     """Sensors' zeros that are clearly off."""
-    values, covariance = estimated_zeros(measurements, fitted, state, usual=False)
+    values, covariance = estimated_zeros(fitted, state, usual=False)
     found = []
-    for k, (protocol, zero) in enumerate(measurements.zeros):
+    for k, (protocol, zero) in enumerate(state.measurements.zeros):
         error = float(np.sqrt(covariance[k, k]))
         reach = 1.96 * error
         clear = zero.of_sensor and error > 0 and (values[k] / error) ** 2 > CLEAR_RATIO

@@ -8,8 +8,8 @@ import numpy as np
 from scipy.stats import t as student
 
 from slipstitch.criticise.inference.candidates import Candidate
-from slipstitch.criticise.inference.faulty_data import without_zeros
-from slipstitch.criticise.inference.fit import Fit, fit
+from slipstitch.criticise.inference.faulty_data import estimated_zeros
+from slipstitch.criticise.inference.fit import Fit, Weights, fit
 from slipstitch.criticise.inference.mixed_model import Clusters, Scatter, total_variance
 from slipstitch.criticise.inference.state import State, scatters_of
 from slipstitch.criticise.verdict import Analysis
@@ -47,7 +47,9 @@ class _Linear:
 
 
 def _linear(analysis: Analysis, fitted: Fit, state: State, extra: int) -> _Linear:
-    residual = without_zeros(analysis.measurements, fitted, analysis.state)
+    zeros, _ = estimated_zeros(fitted, analysis.state)
+    m = analysis.measurements
+    residual = m.y - fitted.prediction - m.zero_columns @ zeros
     columns, grams = np.column_stack([fitted.jacobian, residual]), []
     for group in state.groups:
         own = columns[group.index]
@@ -77,7 +79,8 @@ def held_out_gain(analysis: Analysis, candidates: list[Candidate]) -> dict:
     # The null that is predicted with is the one reported, under its own scatter; the one that
     # competes for selection is the null under the scatter of the others.
     null = _linear(analysis, analysis.null, analysis.null_state, 0)
-    models = [fit(m, state.weights, (), analysis.null.as_dict()), *(c.fitted for c in candidates)]
+    weights = Weights(state.measurements, state.sensitivity, state.scatters)
+    models = [fit(m, weights, (), analysis.null.as_dict()), *(c.fitted for c in candidates)]
     count = len(analysis.null.values)
     rivals = [_linear(analysis, f, state, len(f.values) - count) for f in models]
     plain_null = plain_scatters(analysis, analysis.null)

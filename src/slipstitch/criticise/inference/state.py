@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -24,15 +25,6 @@ ROUNDING = 1e-7
 REFITS = 2
 
 
-@dataclass
-class Alternatives:
-    """Tests beside a fitted model, and the sensitivity d(feature)/d(ln mu) at it."""
-
-    tests: list[Test]
-    sensitivity: np.ndarray
-    untestable: dict[str, str]
-
-
 def nuisance_columns(
     measurements: Measurements, unrecorded: np.ndarray, sensitivity: np.ndarray
 ) -> np.ndarray | None:
@@ -49,10 +41,14 @@ def nuisance_columns(
     return np.column_stack(columns) if columns else None
 
 
-def alternatives(measurements: Measurements, fitted: Fit) -> Alternatives:
-    """Every mechanism beyond the fitted causes, and every generic shape."""
+def alternatives(measurements: Measurements, fitted: Fit) -> tuple[list[Test], dict[str, str]]:
+    """Every mechanism beyond the fitted causes, and every generic shape.
+
+    And the mechanisms that cannot be tested, with why.
+    """
     sensitivity = fitted.sensitivity()
-    tests, untestable = [], {}
+    tests: list[Test] = []
+    untestable: dict[str, str] = {}
     values = fitted.as_dict()
     for name, mechanism in MECHANISMS.items():
         if name in fitted.causes:
@@ -96,7 +92,7 @@ def alternatives(measurements: Measurements, fitted: Fit) -> Alternatives:
         nuisance = nuisance_columns(measurements, empty & usable, sensitivity)
         columns = shape.columns * np.where(usable, sensitivity, 0.0)[:, None]
         tests.append(replace(shape, columns=columns, nuisance=nuisance))
-    return Alternatives(tests, sensitivity, untestable)
+    return tests, untestable
 
 
 def rich_columns(tests: list[Test], group: Group) -> np.ndarray:
@@ -129,20 +125,23 @@ def rich_columns(tests: list[Test], group: Group) -> np.ndarray:
 
 @dataclass(frozen=True)
 class State:
-    """Scatter, weights and tests at one fitted model of the measurements."""
+    """One fitted model of the measurements, its scatter, and the tests beside it."""
 
     measurements: Measurements
     fitted: Fit
     scatters: dict[str, Scatter]
-    weights: Weights
-    sensitivity: np.ndarray
     tests: list[Test]
     untestable: dict[str, str]
 
-    @property
+    @cached_property
+    def sensitivity(self) -> np.ndarray:
+        """(n,) d(feature)/d(ln mu)."""
+        return self.fitted.sensitivity()
+
+    @cached_property
     def groups(self) -> list[Group]:
         """The features by protocol."""
-        return self.weights.groups
+        return mixed_model.make_groups(self.measurements, self.sensitivity)
 
     def outcome(
         self, rng: np.random.Generator, replicates: int, limits: tuple[float, ...] = ()
@@ -165,18 +164,11 @@ def ratios_of(
 
 
 def state_at(
-    measurements: Measurements,
-    fitted: Fit,
-    start: dict[str, Scatter] | None = None,
-    found: Alternatives | None = None,
+    measurements: Measurements, fitted: Fit, start: dict[str, Scatter] | None = None
 ) -> State:
-    """Estimate the scatter at a fitted model and set up the weights and tests there."""
-    sensitivity = fitted.sensitivity()
-    found = found or alternatives(measurements, fitted)
-    scatters = scatters_of(measurements, fitted, sensitivity, start or {})
-    weights = Weights(measurements, sensitivity, scatters)
-    tests, untestable = found.tests, found.untestable
-    return State(measurements, fitted, scatters, weights, sensitivity, tests, untestable)
+    """Estimate the scatter at a fitted model and set up the tests there."""
+    scatters = scatters_of(measurements, fitted, fitted.sensitivity(), start or {})
+    return State(measurements, fitted, scatters, *alternatives(measurements, fitted))
 
 
 def scatters_of(
