@@ -298,8 +298,8 @@ class Analysis(Evidence):
     @cached_property
     def data_findings(self) -> list[DataFinding]:
         """What is wrong with the data themselves."""
-        m, fitted = self.measurements, self.chosen.fitted if self.chosen else self.null
-        return [*m.findings, *noise_findings(m), *zero_findings(fitted, self.state)]
+        m = self.measurements
+        return [*m.findings, *noise_findings(m), *zero_findings(self.state)]
 
 
 def analyse(measurements: Measurements, seed: int = 1, replicates: int = 300) -> Analysis:

@@ -67,9 +67,7 @@ def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> 
         "not_exported": not_exported(fitted.causes, unknown),
         "certificate": certificate(analysis.detectable),
         "data_findings": [finding.as_dict() for finding in analysis.data_findings],
-        "scatter_findings": scatter_findings(
-            analysis.measurements, analysis.state, fitted.as_dict()
-        ),
+        "scatter_findings": scatter_findings(analysis.state, fitted.as_dict()),
         "excluded_rows": [{"run_id": e.run_id, "reason": e.reason} for e in analysis.excluded],
         "ranking": [
             {"model": list(causes), "delta_bic": round(float(bic - models[0][1]), 3)}

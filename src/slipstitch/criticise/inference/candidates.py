@@ -11,13 +11,12 @@ from scipy.stats import chi2 as chi_square
 
 from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.inference.fit import Fit, Weights, fit
-from slipstitch.criticise.inference.mixed_model import Scatter, make_groups
+from slipstitch.criticise.inference.mixed_model import Scatter
 from slipstitch.criticise.inference.state import (
     Refit,
     State,
     alternatives,
     nuisance_columns,
-    ratios_of,
     refit,
     state_at,
 )
@@ -342,5 +341,5 @@ def _beside(judge: Judge, single: Candidate) -> tuple[list[Test], np.ndarray]:
     """Tests of all further mechanisms beside a single one, and their likelihood ratios."""
     m, fitted = judge.measurements, single.fitted
     tests = [test for test in alternatives(m, fitted)[0] if test.family == "mechanism"]
-    groups = make_groups(m, fitted.sensitivity())
-    return tests, ratios_of(m, fitted, tests, groups, single.scatters).observed().max(axis=0)
+    ratios = State(m, fitted, single.scatters, tests, {}).ratios()
+    return tests, ratios.observed().max(axis=0)

@@ -27,7 +27,7 @@ from slipstitch.criticise.inference.smooth_factor import (
     sums_of,
     track_along,
 )
-from slipstitch.criticise.inference.state import State, ratios_of
+from slipstitch.criticise.inference.state import State
 from slipstitch.criticise.inference.structure import SIGNIFICANCE
 from slipstitch.criticise.measurements import Measurements
 
@@ -123,7 +123,7 @@ def short_formula(
 
     Its coefficients are those where it is 1. And the names of those whose fit did not converge.
     """
-    cost = np.log(max(problem.measurements.runs, 2))
+    cost = np.log(max(problem.state.measurements.runs, 2))
     limit = -2 * curve.log_likelihood + 2 * cost
     best, unknown = None, []
     for name, (g, *written) in _shapes(track, _edge(track, curve)).items():
@@ -165,7 +165,7 @@ def specimen_factors(found: dict, measurements: Measurements, state: State) -> p
 
     Many places are drawn together into as many as there are knots at most.
     """
-    m, problem = measurements, Problem(state.measurements, state.fitted, state.scatters)
+    m, problem = measurements, Problem(state)
     track = track_along(problem, found["covariate"])
     if track is None:
         return pd.DataFrame({"protocol": [], "at": [], "factor": []})
@@ -256,9 +256,9 @@ def embedded_discrepancy(whole: Measurements, state: State, seed: int = 1) -> di
         it is linear in its logarithm and, for speed and load, in that of the covariate.
     """
     measurements = state.measurements
-    problem = Problem(measurements, state.fitted, state.scatters)
+    problem = Problem(state)
     tracks = [track for name in ALONG if (track := track_along(problem, name)) is not None]
-    tried = _tried(problem, tracks, state, np.random.default_rng(seed))
+    tried = _tried(problem, tracks, np.random.default_rng(seed))
     plain = problem.fit(None) if tracks else None
     fitted = [(track, problem.fit(track.smooth())) for track in tracks]
     failed = [t.covariate.name for t, c in fitted if not (c.converged and plain.converged)]
@@ -276,7 +276,7 @@ def embedded_discrepancy(whole: Measurements, state: State, seed: int = 1) -> di
     share = 1.0 - (errors[1] / errors[0]) ** 2
     if tried[name] > SIGNIFICANCE or not share > 0:
         return nothing()
-    everything = replace(problem, measurements=whole, scatters=curve.scatters)
+    everything = Problem(replace(state, measurements=whole, scatters=curve.scatters))
     beside = everything.fit((track_along(everything, name) or track).smooth())
     if not beside.converged:
         failed.append(name)
@@ -316,14 +316,12 @@ def _reach(measurements: Measurements) -> float:
     return float(student.ppf(0.975, max(measurements.specimens - 2, 3)))
 
 
-def _tried(problem: Problem, tracks, state: State, rng) -> dict[str, float]:
+def _tried(problem: Problem, tracks, rng) -> dict[str, float]:
     """Family-wise p of a smooth curve along every covariate, in any protocol or in all."""
     if not tracks:
         return {}
-    m = problem.measurements
-    tests = [track.test(m, state.sensitivity, problem.usable) for track in tracks]
-    ratios = ratios_of(m, problem.null, tests, state.groups, state.scatters)
-    outcome = ratios.outcome(rng, 500, (SIGNIFICANCE,))
+    tests = [track.test(problem.state, problem.usable) for track in tracks]
+    outcome = replace(problem.state, tests=tests).outcome(rng, 500, (SIGNIFICANCE,))
     found: dict[str, float] = {}
     for test, p in zip(outcome.tests, outcome.adjusted, strict=True):
         name = str(test.covariate)

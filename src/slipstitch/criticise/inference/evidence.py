@@ -152,8 +152,7 @@ class Evidence:
     @cached_property
     def taken(self) -> dict[str, list[str]]:
         """Causes of the best explanation whose evidence a rival takes, with the rivals."""
-        best = self.best
-        return taken_by_rivals(self.measurements, best.chosen.fitted, self.null_state, best.state)
+        return taken_by_rivals(self.null_state, self.best.state)
 
     @property
     def takers(self) -> list[str]:

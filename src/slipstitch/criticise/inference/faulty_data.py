@@ -304,9 +304,9 @@ def estimated_zeros(fitted: Fit, state: State, usual: bool = True) -> tuple[np.n
     return values, np.diag(variances)
 
 
-def zero_findings(fitted: Fit, state: State) -> list[DataFinding]:
+def zero_findings(state: State) -> list[DataFinding]:
     """Sensors' zeros that are clearly off."""
-    values, covariance = estimated_zeros(fitted, state, usual=False)
+    values, covariance = estimated_zeros(state.fitted, state, usual=False)
     found = []
     for k, (protocol, zero) in enumerate(state.measurements.zeros):
         error = float(np.sqrt(covariance[k, k]))
@@ -340,24 +340,22 @@ def noise_findings(measurements: Measurements) -> list[DataFinding]:
     ]
 
 
-def scatter_findings(measurements: Measurements, state: State, coefficients: dict) -> list[dict]:
+def scatter_findings(state: State, coefficients: dict) -> list[dict]:
     """Protocols whose runs scatter by clearly more than is usual, and what to record there next.
 
     ``coefficients``: logarithm of every friction coefficient by name.
     """
-    found = []
-    for block in measurements.blocks:
+    m, found = state.measurements, []
+    for block in m.blocks:
         scatter = state.scatters.get(block.protocol)
-        mine = (measurements.protocol == block.protocol) & measurements.of_friction
-        mine &= state.measurements.usual
-        degrees = len(np.unique(measurements.run[mine]))
-        degrees -= len(np.unique(measurements.specimen[mine]))
+        mine = (m.protocol == block.protocol) & m.of_friction & m.usual
+        degrees = len(np.unique(m.run[mine])) - len(np.unique(m.specimen[mine]))
         if scatter is None or degrees < FEWEST_DEGREES:
             continue
         usual = USUAL_RUN_SD / np.exp(coefficients[block.COEFFICIENT])
         least = scatter.run * np.sqrt(degrees / chi_square.isf(SURE, degrees))
         if least > usual:
-            rows = measurements.rows[mine]
+            rows = m.rows[mine]
             blank = [
                 name
                 for name in RECORDABLE

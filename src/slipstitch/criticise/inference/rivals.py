@@ -13,7 +13,6 @@ from numpy.polynomial import legendre
 from scipy.stats import chi2 as chi_square
 
 from slipstitch.criticise.causes import MECHANISMS
-from slipstitch.criticise.inference.fit import Fit
 from slipstitch.criticise.inference.ratio import Ratios
 from slipstitch.criticise.inference.state import State
 from slipstitch.criticise.inference.structure import Test
@@ -109,11 +108,10 @@ def _takes(rival: Rival, nothing_left: bool, lead: float) -> bool:
     return lead > CLEAR_LEAD or (nothing_left and lead > 0)
 
 
-def taken_by_rivals(
-    measurements: Measurements, fitted: Fit, null_state: State, state: State
-) -> dict[str, list[str]]:
-    """Causes of a fit whose evidence a rival takes away, with the rivals that do."""
-    m, names = measurements, [p.name for p in fitted.parameters]
+def taken_by_rivals(null_state: State, state: State) -> dict[str, list[str]]:
+    """Causes of a state's fit whose evidence a rival takes away, with the rivals that do."""
+    m, fitted = state.measurements, state.fitted
+    names = [p.name for p in fitted.parameters]
     rivals = rivals_of(m)
     factors = [rival.factors * state.sensitivity[:, None] for rival in rivals]
     taken: dict[str, list[str]] = {}

@@ -17,9 +17,8 @@ from scipy.interpolate import PchipInterpolator
 
 from slipstitch.criticise.covariates import COVARIATES, Covariate
 from slipstitch.criticise.inference import mixed_model
-from slipstitch.criticise.inference.fit import Fit
 from slipstitch.criticise.inference.mixed_model import Clusters, Group, Scatter
-from slipstitch.criticise.inference.state import nuisance_columns
+from slipstitch.criticise.inference.state import State, nuisance_columns
 from slipstitch.criticise.inference.structure import Test
 from slipstitch.criticise.measurements import Measurements
 from slipstitch.physics.friction_law import Curve
@@ -125,35 +124,34 @@ class Fitted:
 
 @dataclass
 class Problem:
-    """The measurements beside which forms are fitted."""
+    """The null, beside which forms are fitted."""
 
-    measurements: Measurements
-    null: Fit
-    scatters: dict[str, Scatter]
+    state: State
 
     @cached_property
     def response(self) -> Response:
         """Of the features to their coefficients."""
-        return Response(self.measurements, self.null.as_dict())
+        return Response(self.state.measurements, self.state.fitted.as_dict())
 
     @cached_property
     def usable(self) -> np.ndarray:
         """(n,) features that friction acts on."""
-        _, d = self.response.at(self.response.level, np.zeros(len(self.measurements.y)))
-        return self.measurements.of_friction & (d != 0)
+        m = self.state.measurements
+        _, d = self.response.at(self.response.level, np.zeros(len(m.y)))
+        return m.of_friction & (d != 0)
 
     def fit(self, form: Form | None) -> Fitted:
         """A form (None: the null) with its scatter."""
-        starts = [self.scatters]
+        starts = [self.state.scatters]
         # What the effect has swelled in the null holds on to it: once more from what is usual.
-        if form is not None and any(s.run > SWELLED_RUN for s in self.scatters.values()):
-            starts.append(dict.fromkeys(self.scatters, mixed_model.START_SCATTER))
+        if form is not None and any(s.run > SWELLED_RUN for s in starts[0].values()):
+            starts.append(dict.fromkeys(starts[0], mixed_model.START_SCATTER))
         found = [self._fit(form, s) for s in starts]
         return max(found, key=lambda one: (one.converged, one.log_likelihood))
 
     def _fit(self, form: Form | None, scatters: dict[str, Scatter]) -> Fitted:
         """By linear models in turn, from scatters to start with."""
-        m, response = self.measurements, self.response
+        m, response = self.state.measurements, self.response
         count = len(response.level)
         level, values = response.level, np.zeros(0) if form is None else form.start
         roots = None if form is None else form.roots
@@ -200,19 +198,20 @@ class Problem:
         self, form: Form | None, level: np.ndarray, values: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Prediction, d(prediction)/d(ln mu) and slopes (n, k) in the form's parameters."""
+        m = self.state.measurements
         if form is None:
-            count = len(self.measurements.y)
+            count = len(m.y)
             return *self.response.at(level, np.zeros(count)), np.zeros((count, 0))
         track, log_factor = form.track, form.log_factor
         moved = values + STEP * np.eye(len(values))
         if track.covariate.name == SPEED:
-            names = [p.name for p in self.measurements.null_parameters]
+            names = [p.name for p in m.null_parameters]
 
             def predicted(level, values) -> np.ndarray:
                 factors = np.exp(log_factor(track.plain_knots, values))
                 curve = speed_curve(track.plain_knots, factors)
                 named = dict(zip(names, level, strict=True))
-                return self.measurements.predict(named, (), curve=curve)
+                return m.predict(named, (), curve=curve)
 
             base = predicted(level, values)
             d = (predicted(level + STEP, values) - base) / STEP
@@ -301,23 +300,25 @@ class Track:
 
         return Form(self, log_factor, np.zeros(len(self.knots)), np.array(roots))
 
-    def test(self, measurements: Measurements, sensitivity: np.ndarray, usable) -> Test:
+    def test(self, state: State, usable: np.ndarray) -> Test:
         """The covariate's test: its leading smooth curves."""
+        d = state.sensitivity
         columns = self.hats @ self.root(TESTED_LENGTH)[:, ::-1][:, :TESTED_COLUMNS]
-        free = nuisance_columns(measurements, usable & ~self.recorded, sensitivity)
-        return Test(columns * sensitivity[:, None], free, covariate=self.covariate.name)
+        free = nuisance_columns(state.measurements, usable & ~self.recorded, d)
+        return Test(columns * d[:, None], free, covariate=self.covariate.name)
 
 
 def track_along(problem: Problem, name: str) -> Track | None:
     """None where a covariate was not recorded at three levels or more."""
-    covariate, rows = COVARIATES[name], problem.measurements.rows
+    covariate, m = COVARIATES[name], problem.state.measurements
+    rows = m.rows
     plain = rows[name].to_numpy(float)
     if name == "load_ratio":  # on a slope the load is that at the slip
         slope = np.where(rows["quantity"] == "angle_deg", rows["y"], 0.0)
         plain = plain * np.cos(np.radians(slope))
     values = covariate.searched(plain)
     recorded = problem.usable & np.isfinite(values)
-    levels = np.unique(np.round(values[recorded & ~problem.measurements.lower_bound], 6))
+    levels = np.unique(np.round(values[recorded & ~m.lower_bound], 6))
     if len(levels) < FEWEST_LEVELS:
         return None
     knots = levels if len(levels) <= KNOTS else np.linspace(levels[0], levels[-1], KNOTS)

@@ -147,20 +147,13 @@ class State:
         self, rng: np.random.Generator, replicates: int, limits: tuple[float, ...] = ()
     ) -> Outcome:
         """Tests of everything beyond the fitted model."""
-        ratios = ratios_of(self.measurements, self.fitted, self.tests, self.groups, self.scatters)
-        return ratios.outcome(rng, replicates, limits)
+        return self.ratios().outcome(rng, replicates, limits)
 
-
-def ratios_of(
-    m: Measurements,
-    fitted: Fit,
-    tests: list[Test],
-    groups: list[Group],
-    scatters: dict[str, Scatter],
-) -> Ratios:
-    """Likelihood ratios of tests beside a fitted model."""
-    residual = m.y - fitted.prediction
-    return Ratios(tests, fitted.jacobian, residual, groups, scatters, m.zero_columns)
+    def ratios(self) -> Ratios:
+        """Likelihood ratios of the tests."""
+        m, base = self.measurements, self.fitted.jacobian
+        residual = m.y - self.fitted.prediction
+        return Ratios(self.tests, base, residual, self.groups, self.scatters, m.zero_columns)
 
 
 def state_at(
