@@ -10,7 +10,7 @@ from scipy.stats import t as student
 from slipstitch.criticise.inference.candidates import Candidate
 from slipstitch.criticise.inference.faulty_data import estimated_zeros
 from slipstitch.criticise.inference.fit import Fit, Weights, fit
-from slipstitch.criticise.inference.mixed_model import Clusters, Scatter, total_variance
+from slipstitch.criticise.inference.mixed_model import Scatter, by_specimen, total_variance
 from slipstitch.criticise.inference.state import State, scatters_of
 from slipstitch.criticise.verdict import Analysis
 
@@ -27,13 +27,14 @@ def plain_scatters(analysis: Analysis, fitted: Fit) -> dict[str, Scatter]:
 class _Linear:
     """A fitted candidate with what each specimen contributes to its normal equations.
 
-    ``grams`` (specimens, k + 1, k + 1) are of the parameters' columns and the residual (n,), from
-    which sensors' zeros are taken.
+    ``rows`` are the features of each. ``grams`` (specimens, k + 1, k + 1) are of the parameters'
+    columns and the residual (n,), from which sensors' zeros are taken.
     """
 
     fitted: Fit
     residual: np.ndarray
     extra: int
+    rows: list[np.ndarray]
     grams: np.ndarray
 
     def without(self, left: int) -> tuple[float, np.ndarray, np.ndarray]:
@@ -50,14 +51,10 @@ def _linear(analysis: Analysis, fitted: Fit, state: State, extra: int) -> _Linea
     zeros, _ = estimated_zeros(fitted, analysis.state)
     m = analysis.measurements
     residual = m.y - fitted.prediction - m.zero_columns @ zeros
-    columns, grams = np.column_stack([fitted.jacobian, residual]), []
-    for group in state.groups:
-        own = columns[group.index]
-        weighted = Clusters(group, own).solved(state.scatters[group.protocol], own)
-        for specimen in np.unique(group.specimen):
-            mine = group.specimen == specimen
-            grams.append(weighted[mine].T @ own[mine])
-    return _Linear(fitted, residual, extra, np.reshape(grams, (-1, *[columns.shape[1]] * 2)))
+    columns = np.column_stack([fitted.jacobian, residual])
+    parts = by_specimen(state.groups, state.scatters, columns)
+    rows, grams = [rows for rows, _ in parts], np.array([gram for _, gram in parts])
+    return _Linear(fitted, residual, extra, rows, grams)
 
 
 def mean_of_clusters(sums: np.ndarray, sizes: np.ndarray) -> tuple[float, float]:
@@ -87,13 +84,8 @@ def held_out_gain(analysis: Analysis, candidates: list[Candidate]) -> dict:
     reference = analysis.chosen.fitted if analysis.chosen is not None else analysis.null
     plain_extended = plain_scatters(analysis, reference)
     # Outliers teach little but count in the score: a fresh campaign has them too.
-    rows_of = [
-        group.index[group.specimen == specimen]
-        for group in state.groups
-        for specimen in np.unique(group.specimen)
-    ]
     scores, errors = [], []
-    for i, rows in enumerate(rows_of):
+    for i, rows in enumerate(null.rows):
         fits = [model.without(i) for model in rivals]
         cost = [found[0] + model.extra * runs for found, model in zip(fits, rivals, strict=True)]
         best = int(np.argmin(cost))
@@ -103,7 +95,7 @@ def held_out_gain(analysis: Analysis, candidates: list[Candidate]) -> dict:
         scale = np.hypot(np.abs(state.sensitivity[rows]), m.u[rows])
         scores.append([score for score, _ in pair])
         errors.append([np.sum((error / scale) ** 2) for _, error in pair])
-    sizes = np.array([len(rows) for rows in rows_of], float)
+    sizes = np.array([len(rows) for rows in null.rows], float)
     total, specimens = sizes.sum(), len(sizes)
     if total == 0:  # bounds only
         found = [float("nan")] * 6

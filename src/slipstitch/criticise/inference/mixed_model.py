@@ -225,6 +225,20 @@ class Clusters:
         return noise * (values * self._inverse - self._pull * shift[self._run])
 
 
+def by_specimen(
+    groups: Iterable[Group], scatters: Mapping[str, Scatter], columns: np.ndarray
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Rows of each specimen's features, and their share (m, m) of X' V^-1 X of columns (n, m)."""
+    parts = []
+    for group in groups:
+        own = columns[group.index]
+        weighted = Clusters(group, own).solved(scatters[group.protocol], own)
+        for specimen in np.unique(group.specimen):
+            mine = group.specimen == specimen
+            parts.append((group.index[mine], weighted[mine].T @ own[mine]))
+    return parts
+
+
 def log_likelihood(clusters: Clusters, scatter: Scatter, fixed: int, restricted: bool) -> float:
     """Of the last column, the first ``fixed`` ones fitted freely, the others with unit prior sd.
 

@@ -17,7 +17,7 @@ from scipy.interpolate import PchipInterpolator
 
 from slipstitch.criticise.covariates import COVARIATES, Covariate
 from slipstitch.criticise.inference import mixed_model
-from slipstitch.criticise.inference.mixed_model import Clusters, Group, Scatter
+from slipstitch.criticise.inference.mixed_model import Clusters, Group, Scatter, by_specimen
 from slipstitch.criticise.inference.state import State, nuisance_columns
 from slipstitch.criticise.inference.structure import Test
 from slipstitch.criticise.measurements import Measurements
@@ -330,22 +330,13 @@ def track_along(problem: Problem, name: str) -> Track | None:
 def left_out_error(m: Measurements, model: Fitted, scored: np.ndarray) -> float:
     """Error of the scored features, relative to friction, each specimen predicted by the others."""
     scale = model.scale(model.root)
-    whole = model.gram(np.zeros_like(scale), scale)
-    score = np.zeros(len(scale))
-    parts = []
-    for group in model.groups:
-        columns, target = (model.columns @ scale)[group.index], model.target[group.index]
-        pulled = Clusters(group, columns).solved(model.scatters[group.protocol], columns)
-        for specimen in np.unique(group.specimen):
-            own = group.specimen == specimen
-            parts.append(
-                (group.index[own], columns[own].T @ pulled[own], pulled[own].T @ target[own])
-            )
-            whole, score = whole + parts[-1][1], score + parts[-1][2]
-    squares = []
-    for index, gram, pulled in parts:
-        index = index[scored[index]]
-        found = scale @ np.linalg.solve(whole - gram, score - pulled)
+    prior = model.gram(np.zeros_like(scale), scale)
+    columns = np.column_stack([model.columns @ scale, model.target])
+    parts = by_specimen(model.groups, model.scatters, columns)
+    whole, squares = sum(gram for _, gram in parts), []
+    for rows, gram in parts:
+        index, others = rows[scored[rows]], whole - gram
+        found = scale @ np.linalg.solve(prior + others[:-1, :-1], others[:-1, -1])
         error = model.target[index] - model.columns[index] @ found
         squares.append((error / np.hypot(model.sensitivity[index], m.u[index])) ** 2)
     return float(np.sqrt(np.concatenate(squares).mean()))
