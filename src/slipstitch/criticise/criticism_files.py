@@ -98,9 +98,10 @@ def criticise_to_files(
         text = markdown(case, verdict, analysis) if as_text else page(verdict, analysis, again)
         write_text(path, text, record())
     if path := paths.get("picture"):
-        from slipstitch.criticise.report.verdict_page import left_over
+        from slipstitch.base.page.figures import svg
+        from slipstitch.criticise.report.verdict_pictures import residual_picture
 
-        write_text(path, left_over(verdict, analysis), record())
+        write_text(path, svg(residual_picture(analysis)), record())
     if path := paths.get("model"):
         text = yaml.safe_dump(extended_model(verdict), sort_keys=False)
         write_text(path, text, record())

@@ -266,12 +266,12 @@ class Analysis(Evidence):
     @property
     def causes(self) -> tuple[str, ...]:
         """The causes that are named."""
-        return self.chosen.causes if self.verdict == "cause" and self.chosen else ()
+        return self.explanation.causes if self.explanation and self.verdict == "cause" else ()
 
     @cached_property
     def alternatives(self) -> list[tuple[str, ...]]:
         """Every set of causes that is possible."""
-        if self.verdict not in ("cause", "confounded"):
+        if not self.explanation:
             return []
         if self.verdict == "cause" or not self.taken:
             return self.ties
@@ -282,6 +282,11 @@ class Analysis(Evidence):
     def chosen(self) -> Candidate | None:
         """The best explanation, where the rule is about it."""
         return self.best.chosen if self.rule.of_best else None
+
+    @property
+    def explanation(self) -> Candidate | None:
+        """The best explanation, where it is named, alone or among others."""
+        return self.chosen if self.verdict in ("cause", "confounded") else None
 
     @property
     def state(self) -> State:
@@ -328,8 +333,8 @@ def analyse(measurements: Measurements, seed: int = 1, replicates: int = 300) ->
     promise = -min((c.bic for c in other.screened), default=0.0)
     if not other.is_significant or plain + promise < zeros + 0.5 * candidates.TIE_BIC:
         return found  # not even if the fit gains twice what its linear test promises
-    chosen = other.chosen
-    if other.verdict not in ("cause", "confounded") or chosen is None or len(chosen.causes) > 1:
+    chosen = other.explanation
+    if chosen is None or len(chosen.causes) > 1:
         return found  # two causes in the place of zeros are no simpler than these
     without = likelihood(sound, chosen.causes, chosen.fitted, chosen.scatters)
     extra = len(chosen.fitted.values) - len(null.values)

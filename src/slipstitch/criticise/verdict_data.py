@@ -26,13 +26,12 @@ CLOSE_BIC = 25.0
 
 def verdict_of(case: Case, analysis: Analysis, seed: int, code_version: str) -> dict:
     """Everything a machine may want to know of a case's verdict."""
-    chosen = analysis.chosen
+    named = analysis.explanation
     best = min((c.bic for c in analysis.ranking), default=0.0)
     candidates = [c for c in analysis.ranking if c.bic < min(best + CLOSE_BIC, 0.0)]
-    named = analysis.verdict in ("cause", "confounded")
     gain = held_out_gain(analysis, candidates[:12] if named else [])
     models = sorted([((), 0.0), *((c.causes, c.bic) for c in analysis.ranking)], key=itemgetter(1))
-    fitted = chosen.fitted if named and chosen is not None else analysis.null
+    fitted = named.fitted if named else analysis.null
     left = analysis.left_over or analysis.null_outcome
     intervals = analysis.intervals(fitted)
     parameters = intervals.of_sizes()

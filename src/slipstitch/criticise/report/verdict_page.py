@@ -10,14 +10,13 @@ import numpy as np
 import pandas as pd
 from scipy.stats import t as student
 
-from slipstitch.base.page.figures import svg, svg_element
+from slipstitch.base.page.figures import svg_element
 from slipstitch.base.page.palette import BLUE, DOUBT, GOOD, SOFT, VERMILION
 from slipstitch.base.page.templates import render
 from slipstitch.base.page.wording import percent, with_interval
 from slipstitch.criticise.case import Case
 from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.covariates import COVARIATES
-from slipstitch.criticise.inference.fit import Fit
 from slipstitch.criticise.report import verdict_pictures as pictures
 from slipstitch.criticise.resimulation import Resimulation
 from slipstitch.criticise.statement import false_alarm_words, second_sentence, sentence
@@ -46,7 +45,6 @@ def _content(verdict: dict) -> dict[str, Any]:
 
 def page(verdict: dict, analysis: Analysis, again: Resimulation | None = None) -> str:
     """The page as HTML; it needs no other file. ``again`` adds before and after."""
-    extended = _extended(verdict, analysis)
     found, everything = verdict["discrepancy"], pictures.covariate_picture(analysis)
     drawn: dict[str, Any] = dict.fromkeys(("discrepancy", "everything"))
     if found and found["covariate"]:
@@ -57,15 +55,13 @@ def page(verdict: dict, analysis: Analysis, again: Resimulation | None = None) -
     return render(
         _PAGE,
         tone=_TONES.get(verdict["verdict"], SOFT),
-        named=verdict["verdict"] in ("cause", "confounded"),
-        extended=extended is not None,
+        extended=analysis.explanation is not None,
         residuals=svg_element(
-            pictures.residual_picture(analysis, extended),
+            pictures.residual_picture(analysis),
             "Residuals of plain Coulomb and of the extended model",
         ),
         predictions=svg_element(
-            pictures.prediction_picture(analysis, extended),
-            "Residuals in standard deviations, both models",
+            pictures.prediction_picture(analysis), "Residuals in standard deviations, both models"
         ),
         ranking=svg_element(pictures.ranking_picture(verdict), "The rival models by BIC"),
         again=before_and_after(again) if again else None,
@@ -137,39 +133,21 @@ def _told(means: pd.Series) -> str:
     return f"Difference between specimens: {with_interval(difference, interval, 1)} % of friction."
 
 
-def left_over(verdict: dict, analysis: Analysis) -> str:
-    """The picture of what is left over without and with the extended model, as an SVG."""
-    return svg(pictures.residual_picture(analysis, _extended(verdict, analysis)))
-
-
-def _extended(verdict: dict, analysis: Analysis) -> Fit | None:
-    named = verdict["verdict"] in ("cause", "confounded")
-    return analysis.chosen.fitted if named and analysis.chosen else None
-
-
 def before_and_after(again: Resimulation) -> dict[str, Any]:
     """What the page shows of the runs that were simulated again."""
-    summary = again.summary
-    rows = (
-        ("trailing edge", summary["quantities"]["te_x_mm"]),
-        ("contact length", summary["quantities"]["contact_len_mm"]),
-        ("both", summary["all"]),
-    )
+    both, each = again.summary["all"], again.summary["quantities"]
+    rows = {
+        "trailing edge": each["te_x_mm"],
+        "contact length": each["contact_len_mm"],
+        "both": both,
+    }
     return {
         "picture": svg_element(
             pictures.before_and_after_picture(again.frames),
             "Lag of the edge and contact length: measured and simulated again",
         ),
-        "specimens": summary["all"]["specimens"],
-        "rows": [
-            {
-                "title": title,
-                "null_mm": entry["rmse_null_mm"],
-                "extended_mm": entry["rmse_extended_mm"],
-                "gain": _gain(entry),
-            }
-            for title, entry in rows
-        ],
+        "specimens": both["specimens"],
+        "rows": [(title, entry, _gain(entry)) for title, entry in rows.items()],
     }
 
 

@@ -31,9 +31,8 @@ def _figure(width: float = 6.4, height: float = 3.4) -> tuple[Figure, Axes]:
 
 def telling_covariate(analysis: Analysis) -> str:
     """The covariate along which the model's failure is seen best."""
-    chosen = analysis.chosen
-    if analysis.verdict in ("cause", "confounded") and chosen is not None:
-        return MECHANISMS[chosen.causes[0]].covariate or QUANTITY
+    if analysis.explanation:
+        return MECHANISMS[analysis.explanation.causes[0]].covariate or QUANTITY
     outcome = analysis.left_over or analysis.null_outcome
     strongest = outcome.strongest("generic")
     return QUANTITY if strongest is None else outcome.tests[strongest].covariate or QUANTITY
@@ -92,10 +91,10 @@ def series(axes, x, y, colour, label, seed=0):
     )
 
 
-def _fits(analysis: Analysis, extended: Fit | None) -> list[tuple[Fit, str, str]]:
+def _fits(analysis: Analysis) -> list[tuple[Fit, str, str]]:
     """Each fit that is drawn, with its colour and label."""
-    fits = [(analysis.null, VERMILION, "plain Coulomb")]
-    return fits if extended is None else [*fits, (extended, BLUE, "extended")]
+    fits, named = [(analysis.null, VERMILION, "plain Coulomb")], analysis.explanation
+    return [*fits, (named.fitted, BLUE, "extended")] if named else fits
 
 
 def _by_quantity(axes, analysis, fits):
@@ -116,11 +115,11 @@ def _by_quantity(axes, analysis, fits):
 
 
 @styled
-def residual_picture(analysis: Analysis, extended: Fit | None) -> Figure:
+def residual_picture(analysis: Analysis) -> Figure:
     """Residuals of the null (and of the extended model) against the telling covariate."""
     covariate = telling_covariate(analysis)
     figure, axes = _figure()
-    fits = _fits(analysis, extended)
+    fits = _fits(analysis)
     if covariate == QUANTITY or COVARIATES[covariate].text:
         _by_quantity(axes, analysis, fits)
     else:
@@ -130,7 +129,7 @@ def residual_picture(analysis: Analysis, extended: Fit | None) -> Figure:
             good &= np.isfinite(values)
             if good.any():
                 series(axes, values[good], residual[good], colour, label)
-        if extended is None and analysis.verdict == "unknown":
+        if analysis.verdict == "unknown":
             pattern(axes, analysis, covariate, analysis.left_over or analysis.null_outcome)
         axes.set_xlabel(COVARIATES[covariate].axis_label)
         axes.set_ylabel("measured − model (% of friction)")
@@ -180,11 +179,11 @@ def ranking_picture(verdict: dict, most: int = 10) -> Figure:
 
 
 @styled
-def prediction_picture(analysis: Analysis, extended: Fit | None) -> Figure:
+def prediction_picture(analysis: Analysis) -> Figure:
     """Standardised residuals of all features, null and extended, against a standard normal."""
     figure, axes = _figure()
     edges = np.linspace(-6, 6, 41).tolist()
-    for fitted, colour, label in _fits(analysis, extended):
+    for fitted, colour, label in _fits(analysis):
         z = standardised_residuals(analysis, fitted)
         z = z[analysis.state.measurements.usual & ~analysis.measurements.lower_bound]
         if len(z):  # else bounds only
