@@ -14,6 +14,7 @@ from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import PchipInterpolator
+from scipy.linalg import orth
 
 from slipstitch.criticise.covariates import COVARIATES, Covariate
 from slipstitch.criticise.inference import mixed_model
@@ -247,12 +248,10 @@ def _evidence(model: Fitted, sums, root: np.ndarray | None, restricted: bool) ->
 def _scatter_of(m: Measurements, group: Group, model: Fitted) -> Scatter:
     """One protocol's scatter beside its share of the columns."""
     columns = (model.columns @ model.scale(model.root))[group.index]
-    fixed = columns[:, ~model.random]
-    left, size, _ = np.linalg.svd(fixed, full_matrices=False)
     found, _ = mixed_model.estimate_scatter(
         group,
         model.target[group.index],
-        left[:, size > 1e-6 * size[0]],
+        orth(columns[:, ~model.random], 1e-6),
         np.column_stack([mixed_model.zeros_of(m, group), columns[:, model.curve]]),
         model.scatters[group.protocol],
     )

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import orth
 
 from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.covariates import generic_shapes
@@ -212,7 +213,7 @@ def refit(
         for group in weights.groups:
             fixed = np.zeros((len(group.index), 0))
             if nuisance is not None:
-                fixed = _independent(nuisance[group.index])
+                fixed = orth(nuisance[group.index], 1e-9)
             scatters[group.protocol], value = mixed_model.estimate_scatter(
                 group,
                 residual[group.index],
@@ -223,9 +224,3 @@ def refit(
             )
             total += value
     return Refit(fitted, scatters, total)
-
-
-def _independent(columns: np.ndarray) -> np.ndarray:
-    """An orthonormal basis of the columns."""
-    left, values, _ = np.linalg.svd(columns, full_matrices=False)
-    return left[:, values > 1e-9 * max(values.max(initial=0.0), 1e-300)]
