@@ -21,7 +21,7 @@ from slipstitch.criticise.causes import Bench
 from slipstitch.criticise.measurements import COEFFICIENTS, Measurements, assemble
 from slipstitch.criticise.protocols import PROTOCOLS, incline, strip
 from slipstitch.criticise.protocols.dragged_cloth import rest_state, sliding_state, sticking_path
-from slipstitch.criticise.protocols.protocol import masses_of
+from slipstitch.criticise.protocols.protocol import weights_of
 from slipstitch.criticise.protocols.push import USUAL_STIFFNESS_N_M
 from slipstitch.criticise.protocols.stick_slip import Slider
 from slipstitch.physics import GRAVITY_M_S2
@@ -143,17 +143,11 @@ def _textured(rng, count: int, step_mm: float, assumed, protocol: str) -> np.nda
     return 1.0 + sd * lfilter([1.0], [1.0, -kept], white)
 
 
-def _weights(runs: pd.DataFrame, nominal: Mapping[str, float]) -> np.ndarray:
-    """Of cloth and added mass, N."""
-    cloth, added = masses_of(runs, nominal)
-    return (cloth + added) * GRAVITY_M_S2
-
-
 def _drag(runs, nominal, assumed, rng) -> Iterator[pd.DataFrame]:
     spring, step = nominal["k_tether_N_m"], assumed["drag_step_mm"]
     step = max(step, assumed["drag_stroke_mm"] / MOST_READINGS)
     x = np.arange(0.0, assumed["drag_stroke_mm"] + 0.5 * step, step)
-    levels = 1e3 * assumed["mu_face"] * _weights(runs, nominal)
+    levels = 1e3 * assumed["mu_face"] * weights_of(runs, nominal)
     for level, u, speed in zip(levels, runs["u_force_mN"], runs["speed_mm_s"], strict=True):
         friction = level * _textured(rng, len(x), step, assumed, "drag")
         out = _slid(spring * x, friction)
@@ -212,7 +206,7 @@ def _drop_drag(runs, nominal, assumed, rng) -> Iterator[pd.DataFrame]:
 
 
 def _spring_slider(runs, nominal, assumed, rng) -> Iterator[pd.DataFrame]:
-    weights = _weights(runs, nominal)
+    weights = weights_of(runs, nominal)
     columns = (runs[name].to_numpy(float) for name in ("spring_N_m", "speed_mm_s", "u_force_mN"))
     for weight, spring, speed, u in zip(weights, *columns, strict=True):
         slider = Slider(weight / GRAVITY_M_S2, spring, 1e-3 * speed)
@@ -233,7 +227,7 @@ def _spring_slider(runs, nominal, assumed, rng) -> Iterator[pd.DataFrame]:
 def _push(runs, nominal, assumed, rng) -> Iterator[pd.DataFrame]:
     quiet = runs["quiet_s"].fillna(USUAL_QUIET_S)
     way = runs["moved_mm"].fillna(assumed["push_travel_mm"])
-    weights = _weights(runs, nominal)
+    weights = weights_of(runs, nominal)
     columns = (quiet, way, runs["speed_mm_s"], runs["u_force_mN"])
     for weight, start, distance, speed, u in zip(weights, *columns, strict=True):
         slider = Slider(weight / GRAVITY_M_S2, USUAL_STIFFNESS_N_M, 1e-3 * speed)

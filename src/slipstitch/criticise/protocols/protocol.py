@@ -178,6 +178,11 @@ def masses_of(runs: pd.DataFrame, nominal: Mapping[str, float]) -> tuple[np.ndar
     return cloth, runs["added_mass_g"].to_numpy(float) * 1e-3
 
 
+def weights_of(runs: pd.DataFrame, nominal: Mapping[str, float]) -> np.ndarray:
+    """Weights of cloth and what lies on it, by run, N."""
+    return GRAVITY_M_S2 * sum(masses_of(runs, nominal))
+
+
 def loaded(
     runs: pd.DataFrame, nominal: Mapping[str, float], index, rows: pd.DataFrame, static: np.ndarray
 ) -> tuple[Contact, Contact, np.ndarray, np.ndarray]:
