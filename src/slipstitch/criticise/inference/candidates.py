@@ -104,7 +104,7 @@ class Judge:
             found = fit(m, weights, causes, self.null.as_dict() | known | first)
             if best is None or found.chi2 < best.chi2:
                 best = found
-        best = refit(m, causes, best, self.scatters, self.sensitivity, nuisance)
+        best = self._refitted(causes, best, self.scatters, nuisance)
         largest = max([self.inflation.get(cause, 1.0) for cause in causes] + [1.0])
         # Inflation corrects gains by chance, which are small: only the first part is deflated.
         gained = max(2 * (best.log_likelihood - base.log_likelihood), 0.0)
@@ -120,9 +120,8 @@ class Judge:
 
     def credit_beside(self, chosen: Candidate, columns: np.ndarray) -> float:
         """Credit of a model over the null with columns (n, k) that are fitted freely in both."""
-        m, d = self.measurements, self.sensitivity
-        base = refit(m, self.null.causes, self.null, self.scatters, d, columns)
-        best = refit(m, chosen.causes, chosen.fitted, chosen.scatters, d, columns)
+        base = self._refitted((), self.null, self.scatters, columns)
+        best = self._refitted(chosen.causes, chosen.fitted, chosen.scatters, columns)
         return 2 * (best.log_likelihood - base.log_likelihood)
 
     def weights_of(
@@ -156,11 +155,11 @@ class Judge:
     def _base(self, nuisance: np.ndarray | None) -> Refit:
         key = b"" if nuisance is None else nuisance.tobytes()
         if key not in self.bases:
-            causes = self.null.causes
-            self.bases[key] = refit(
-                self.measurements, causes, self.null, self.scatters, self.sensitivity, nuisance
-            )
+            self.bases[key] = self._refitted((), self.null, self.scatters, nuisance)
         return self.bases[key]
+
+    def _refitted(self, causes, start: Fit, scatters: dict[str, Scatter], nuisance) -> Refit:
+        return refit(self.measurements, causes, start, scatters, self.sensitivity, nuisance)
 
 
 def with_law_error(measurements: Measurements, fitted: Fit) -> Measurements:
