@@ -55,9 +55,6 @@ def _shapes(track: Track, edge: float) -> dict[str, tuple[Callable, Callable, Ca
     def slope(a):
         return a / span
 
-    def same(a):
-        return a
-
     def signed(a):
         return f"{'-' if a < 0 else '+'} {abs(a):.3g}"
 
@@ -78,12 +75,12 @@ def _shapes(track: Track, edge: float) -> dict[str, tuple[Callable, Callable, Ca
         shapes["power law"] = (
             lambda c, a: a * np.log(c / at),
             lambda a: f"mu ({over})^{a:.3g}",
-            same,
+            float,
         )
         shapes["logarithm"] = (
             lambda c, a: line(c, a, lambda c: np.log10(c / at)),
             lambda a: f"mu (1 {signed(a)} log10({over}))",
-            same,
+            float,
         )
     shapes["step"] = (
         lambda c, a: a * (c > edge),
@@ -287,7 +284,7 @@ def embedded_discrepancy(whole: Measurements, state: State, seed: int = 1) -> di
     centred = np.eye(len(weights)) - weights
     own = np.flatnonzero(curve.curve)
     covariance = centred @ curve.covariance[np.ix_(own, own)] @ centred.T
-    reach = _reach(measurements)
+    reach = float(student.ppf(0.975, max(measurements.specimens - 2, 3)))
     half = reach * np.sqrt(np.maximum(np.diag(covariance), 0.0))
     log_factors = curve.values - mean
     low, high = rounded(np.exp(log_factors - half)), rounded(np.exp(log_factors + half))
@@ -310,10 +307,6 @@ def embedded_discrepancy(whole: Measurements, state: State, seed: int = 1) -> di
         "formula": formula,
         **({"shapes_not_converged": unknown} if unknown else {}),
     }
-
-
-def _reach(measurements: Measurements) -> float:
-    return float(student.ppf(0.975, max(measurements.specimens - 2, 3)))
 
 
 def _tried(problem: Problem, tracks, rng) -> dict[str, float]:
