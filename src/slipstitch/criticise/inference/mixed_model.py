@@ -140,18 +140,14 @@ class Clusters:
     def __init__(self, group: Group, columns: np.ndarray):
         count = len(group.u)
         # Runs in the order of their specimens, so that specimens are stretches of runs.
-        _, run = np.unique(group.run, return_inverse=True)
-        first = np.zeros(run.max() + 1, int)
-        first[run[::-1]] = np.arange(count)[::-1]
+        _, first, run = np.unique(group.run, return_index=True, return_inverse=True)
         by_specimen = np.argsort(group.specimen[first], kind="stable")
-        rank = np.empty_like(by_specimen)
-        rank[by_specimen] = np.arange(len(by_specimen))
-        self._run = rank[run]
+        self._run = np.argsort(by_specimen)[run]
         self._order = np.argsort(self._run, kind="stable")
         self._runs = np.flatnonzero(np.diff(self._run[self._order], prepend=-1))
-        of_run = group.specimen[first][by_specimen]
-        new = np.r_[True, of_run[1:] != of_run[:-1]]
-        self._specimens, self._specimen = np.flatnonzero(new), np.cumsum(new) - 1
+        _, self._specimens, self._specimen = np.unique(
+            group.specimen[first][by_specimen], return_index=True, return_inverse=True
+        )
         self._astray = group.astray[first][by_specimen]
         inverse = 1.0 / group.u**2
         self._inverse, self._pull = inverse[:, None], (group.sensitivity * inverse)[:, None]

@@ -67,13 +67,13 @@ def rivals_of(measurements: Measurements) -> list[Rival]:
             place[mine] = legendre.legvander(z, PLACE_DEGREE)[of_run, 1:]
         specimen = m.specimen[mine][first]
         order = np.lexsort([clock, specimen])
-        follows = np.flatnonzero(specimen[order][1:] == specimen[order][:-1])
+        # Some features of a run may lack what others have: the last one that is known.
+        of_runs = m.rows.loc[mine, list(REMEMBERED_COLUMNS)].groupby(of_run).last()
+        with np.errstate(divide="ignore", invalid="ignore"):
+            of_runs = np.log(of_runs.astype(float))
+        before_them = of_runs.iloc[order].groupby(specimen[order]).shift().sort_index()
         for name in REMEMBERED_COLUMNS:
-            values = _of_runs(m.rows[name].to_numpy(float)[mine], of_run, len(runs))
-            with np.errstate(divide="ignore", invalid="ignore"):
-                values = np.log(values)
-            last = np.full(len(runs), np.nan)
-            last[order[follows + 1]] = values[order[follows]]
+            values, last = of_runs[name].to_numpy(), before_them[name].to_numpy()
             known = np.isfinite(last)
             if known.sum() < 4 or np.ptp(last[known]) < 1e-9:
                 continue
@@ -91,14 +91,6 @@ def rivals_of(measurements: Measurements) -> list[Rival]:
         for rival in found
         if rival.factors.any()
     ]
-
-
-def _of_runs(values: np.ndarray, of_run: np.ndarray, count: int) -> np.ndarray:
-    """The value of each run, NaN where no feature of it has one."""
-    result = np.full(count, np.nan)
-    known = np.isfinite(values)
-    result[of_run[known]] = values[known]
-    return result
 
 
 def _takes(rival: Rival, nothing_left: bool, lead: float) -> bool:

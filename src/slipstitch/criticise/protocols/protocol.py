@@ -104,11 +104,10 @@ class Block:
 
 def covariates_of(table: pd.DataFrame, azimuth: str) -> pd.DataFrame:
     """The common covariates of a run table, in the columns of a block."""
-    rows = pd.DataFrame({"run_id": table["run_id"], "specimen_id": table["specimen_id"]})
-    rows["specimen_id"] = [
-        specimen or f"(run {run})"
-        for specimen, run in zip(table["specimen_id"], table["run_id"], strict=True)
-    ]
+    rows = table[["run_id", "specimen_id"]].copy()
+    rows["specimen_id"] = rows["specimen_id"].where(
+        rows["specimen_id"] != "", rows["run_id"].map("(run {})".format)
+    )
     for name in ("pos_x_mm", "clock_min", "rh_pct", "repeat_index", "dwell_s", "orientation_deg"):
         rows[name] = table[name].to_numpy(float)
     rows["azimuth_deg"] = table[azimuth].to_numpy(float)
