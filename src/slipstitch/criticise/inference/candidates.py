@@ -18,7 +18,7 @@ from slipstitch.criticise.inference.state import (
     alternatives,
     nuisance_columns,
     refit,
-    state_at,
+    scatters_of,
 )
 from slipstitch.criticise.inference.structure import Outcome, Test
 from slipstitch.criticise.measurements import Measurements
@@ -95,7 +95,7 @@ class Judge:
     def candidate(self, causes: tuple[str, ...], start: Fit | None = None) -> Candidate:
         """Fit a set of causes; ``start`` is the fit of a part of them."""
         m = self.measurements
-        nuisance = self._nuisance(causes)
+        nuisance = self.nuisance(causes)
         base = self._base(nuisance)
         known = start.as_dict() if start is not None else {}
         weights = Weights(m, self.sensitivity, self.scatters, nuisance)
@@ -124,13 +124,6 @@ class Judge:
         best = self._refitted(chosen.causes, chosen.fitted, chosen.scatters, columns)
         return 2 * (best.log_likelihood - base.log_likelihood)
 
-    def weights_of(
-        self, causes: tuple[str, ...], state: State, measurements: Measurements
-    ) -> Weights:
-        """Weights of a state, free levels where what drives the causes was not recorded."""
-        nuisance = self._nuisance(causes)
-        return Weights(measurements, state.sensitivity, state.scatters, nuisance)
-
     def tested(
         self, chosen: Candidate, measurements: Measurements, rng, replicates: int
     ) -> tuple[Candidate, State, Outcome]:
@@ -139,14 +132,17 @@ class Judge:
         ``measurements`` are those without the law's own error.
         """
         m = with_law_error(measurements, chosen.fitted)
-        state = state_at(m, chosen.fitted, chosen.scatters)
-        weights = self.weights_of(chosen.causes, state, m)
+        sensitivity = chosen.fitted.sensitivity()
+        scatters = scatters_of(m, chosen.fitted, sensitivity, chosen.scatters)
+        weights = Weights(m, sensitivity, scatters, self.nuisance(chosen.causes))
         fitted = fit(m, weights, chosen.causes, chosen.fitted.as_dict())
-        state = state_at(m, fitted, state.scatters)
+        scatters = scatters_of(m, fitted, fitted.sensitivity(), scatters)
+        state = State(m, fitted, scatters, *alternatives(m, fitted))
         left = state.outcome(rng, MOST_ROUNDS * replicates, (LEFTOVER_SIGNIFICANCE,))
-        return replace(chosen, fitted=fitted, scatters=state.scatters), state, left
+        return replace(chosen, fitted=fitted, scatters=scatters), state, left
 
-    def _nuisance(self, causes: tuple[str, ...]) -> np.ndarray | None:
+    def nuisance(self, causes: tuple[str, ...]) -> np.ndarray | None:
+        """Free levels where what drives the causes was not recorded."""
         unrecorded = np.zeros(len(self.measurements.y), bool)
         for cause in causes:
             unrecorded |= self.measurements.unrecorded(cause)
@@ -282,7 +278,8 @@ def tied_with(
 def _expected_evidence(chosen: Candidate, other: Candidate, judge: Judge, state: State) -> float:
     """By how much twice the log-likelihood of another model falls short of an exact one."""
     exact = replace(state.measurements, y=chosen.fitted.prediction)
-    weights = judge.weights_of(other.causes, state, exact)
+    nuisance = judge.nuisance(other.causes)
+    weights = Weights(exact, state.sensitivity, state.scatters, nuisance)
     best = fit(exact, weights, other.causes, other.fitted.as_dict())
     return max(best.chi2 - weights.chi2(exact.y), 0.0)
 
@@ -294,7 +291,7 @@ def second_is_significant(pair: Candidate, singles: list[Candidate], left: Outco
         return False
     top = max(alone, key=lambda c: c.credit)
     extra = len(pair.fitted.parameters) - len(top.fitted.parameters)
-    tried = max(len(_testable(left)), 1)
+    tried = max(len(testable(left)), 1)
     threshold = chi_square.isf(PAIR_SIGNIFICANCE / tried, max(extra, 1))
     return pair.credit - top.credit > threshold and pair.bic < top.bic
 
@@ -303,11 +300,11 @@ def fitted_pairs(judge: Judge, singles: list[Candidate], left: Outcome) -> list[
     """The most promising pairs, fitted; screened by ratios beside the leading singles."""
     promise: dict[tuple[str, ...], float] = {}
     # Beside a strong first mechanism a second one counts that explains little alone.
-    testable = _testable(left) | {c.causes[0] for c in singles}
+    known = testable(left) | {c.causes[0] for c in singles}
 
     def offer(single, tests, ratios):
         for test, ratio in zip(tests, ratios, strict=True):
-            if test.mechanism in testable and np.isfinite(ratio):
+            if test.mechanism in known and np.isfinite(ratio):
                 pair = tuple(sorted((single.causes[0], test.mechanism)))
                 promise[pair] = max(promise.get(pair, 0.0), single.credit + ratio)
 
@@ -327,7 +324,7 @@ def fitted_pairs(judge: Judge, singles: list[Candidate], left: Outcome) -> list[
     return sorted(fitted, key=lambda c: c.bic)
 
 
-def _testable(left: Outcome) -> set[str]:
+def testable(left: Outcome) -> set[str]:
     """The mechanisms that can be tested beside a model."""
     return {
         test.mechanism

@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 
-from slipstitch.criticise.causes import MECHANISMS
 from slipstitch.criticise.inference import candidates
 from slipstitch.criticise.inference.candidates import Candidate, Judge
 from slipstitch.criticise.inference.certificate import Detectable, smallest_detectable
@@ -168,11 +167,7 @@ class Evidence:
 
     def untestable(self) -> dict[str, str]:
         """Mechanisms that these data cannot tell, and why."""
-        result, outcome = dict(self.null_state.untestable), self.null_outcome
-        for name in MECHANISMS:
-            own = [i for i, t in enumerate(outcome.tests) if t.mechanism == name]
-            if own and not any(np.isfinite(outcome.log_p[i]) for i in own):
-                result[name] = (
-                    "cannot be distinguished from the friction coefficient with these data"
-                )
-        return result
+        tested = {test.mechanism for test in self.null_state.tests if test.mechanism}
+        alike = "cannot be distinguished from the friction coefficient with these data"
+        told = candidates.testable(self.null_outcome)
+        return self.null_state.untestable | dict.fromkeys(tested - told, alike)

@@ -17,13 +17,7 @@ from slipstitch.criticise.causes import DataFinding
 from slipstitch.criticise.inference import mixed_model
 from slipstitch.criticise.inference.fit import Fit, Weights, fit
 from slipstitch.criticise.inference.mixed_model import Clusters, Group, Scatter
-from slipstitch.criticise.inference.state import (
-    State,
-    alternatives,
-    rich_columns,
-    scatters_of,
-    state_at,
-)
+from slipstitch.criticise.inference.state import State, alternatives, rich_columns, scatters_of
 from slipstitch.criticise.inference.structure import Test, minus_log10_p
 from slipstitch.criticise.measurements import Measurements, Outlier
 
@@ -77,9 +71,8 @@ def robust_fit(
     for _ in range(2):
         weights = Weights(allowing, fitted.sensitivity(), scatters)
         fitted = fit(allowing, weights, causes, fitted.as_dict())
-        state = state_at(allowing, fitted, scatters)
-        scatters = state.scatters
-    return state
+        scatters = scatters_of(allowing, fitted, fitted.sensitivity(), scatters)
+    return State(allowing, fitted, scatters, *alternatives(allowing, fitted))
 
 
 def _first_fit(measurements: Measurements, causes: tuple[str, ...]) -> Fit:

@@ -157,14 +157,6 @@ class State:
         return Ratios(self.tests, base, residual, self.groups, self.scatters, m.zero_columns)
 
 
-def state_at(
-    measurements: Measurements, fitted: Fit, start: dict[str, Scatter] | None = None
-) -> State:
-    """Estimate the scatter at a fitted model and set up the tests there."""
-    scatters = scatters_of(measurements, fitted, fitted.sensitivity(), start or {})
-    return State(measurements, fitted, scatters, *alternatives(measurements, fitted))
-
-
 def scatters_of(
     m: Measurements, fitted: Fit, sensitivity: np.ndarray, start: dict[str, Scatter]
 ) -> dict[str, Scatter]:
