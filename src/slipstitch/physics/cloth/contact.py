@@ -224,15 +224,14 @@ def symmetric_block(node: int, p: wp.vec3d, nodes: Nodes, law: FrictionState) ->
 
 @wp.kernel
 def node_stiffness(x: wp.array(dtype=wp.vec3d), nodes: Nodes, law: FrictionState, entries: Entries):
-    """Add inertia and contact's symmetric part to each block (xx, yx, yy, zx, zy, zz)."""
+    """Add inertia and contact's symmetric part to each node's block."""
     i = wp.tid()
     inertia = nodes.mass_kg[i] * nodes.inverse_step_squared[0]
     block = wp.identity(n=3, dtype=wp.float64) * inertia
     block += symmetric_block(i, x[i], nodes, law)
     for row in range(3):
-        for column in range(row + 1):
-            place = row * (row + 1) // 2 + column
-            add_entry(entries, i, place, block[row, column])
+        for column in range(3):
+            add_entry(entries, i, 3 * row + column, block[row, column])
 
 
 @wp.kernel

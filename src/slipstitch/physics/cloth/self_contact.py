@@ -17,6 +17,7 @@ from slipstitch.physics.cloth import proximity
 from slipstitch.physics.cloth.friction import kept_pull, returned_force, returned_stiffness
 from slipstitch.physics.cloth.mesh import ClothMesh
 from slipstitch.physics.cloth.proximity import Corners, NearPairs, corners_of
+from slipstitch.physics.cloth.tangent import Entries, add_entry
 
 wp.set_module_options({"enable_backward": False})
 
@@ -97,14 +98,7 @@ def self_contact_force(
 
 
 @wp.kernel
-def self_contact_stiffness(
-    x: wp.array(dtype=wp.vec3d),
-    pairs: Pairs,
-    free: wp.array(dtype=wp.vec3d),
-    place: wp.array(dtype=wp.int32, ndim=2),
-    column_length: wp.array(dtype=wp.int32, ndim=2),
-    values: wp.array(dtype=wp.float64),
-):
+def self_contact_stiffness(x: wp.array(dtype=wp.vec3d), pairs: Pairs, entries: Entries):
     """Add the symmetric part of the contact's stiffness, where `Tangent.couple` made room."""
     i = wp.tid()
     n = pairs.nodes[i]
@@ -123,24 +117,11 @@ def self_contact_stiffness(
         + pair.stiffness * across
     )
     for a in range(4):
-        for b in range(a + 1):
-            block = a * (a + 1) // 2 + b
+        for b in range(4):
             w = pair.weight[a] * pair.weight[b]
-            start = place[i, block]
-            length = column_length[i, block]
-            free_a = free[n[a]]
-            free_b = free[n[b]]
-            for c in range(3):
-                # Each column of a node is one entry shorter than the one before.
-                column = start + c * length - c
-                if c == 2:
-                    column -= 1
-                for r in range(3):
-                    if a != b or r >= c:
-                        mask = free_a[r] * free_b[c]
-                        if n[a] < n[b]:
-                            mask = free_a[c] * free_b[r]
-                        wp.atomic_add(values, column + r, w * stiffness[r, c] * mask)
+            for r in range(3):
+                for c in range(3):
+                    add_entry(entries, i, (a * 3 + r) * 12 + b * 3 + c, w * stiffness[r, c])
 
 
 @wp.kernel
@@ -288,9 +269,9 @@ class SelfContact:
         """Add minus the contact's forces at positions x, in N."""
         self._launch(self_contact_force, [x, self.pairs, minus_force])
 
-    def add_stiffness(self, x, free, place, column_length, values) -> None:
+    def add_stiffness(self, x: wp.array, entries: Entries) -> None:
         """Add the contact's stiffness to the entries of the tangent, in N/m."""
-        self._launch(self_contact_stiffness, [x, self.pairs, free, place, column_length, values])
+        self._launch(self_contact_stiffness, [x, self.pairs, entries])
 
     def move_anchors(self, x: wp.array) -> int:
         """Update the memory after an accepted step; number of pairs that touch."""

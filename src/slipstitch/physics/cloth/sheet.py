@@ -16,7 +16,7 @@ from slipstitch.physics.cloth import bending, contact, elasticity
 from slipstitch.physics.cloth.contact import FloorFriction
 from slipstitch.physics.cloth.mesh import ClothMesh
 from slipstitch.physics.cloth.self_contact import SelfContact
-from slipstitch.physics.cloth.tangent import Assembly, Entries
+from slipstitch.physics.cloth.tangent import Assembly, entries_at
 from slipstitch.physics.fabric import ElasticTables
 
 
@@ -52,9 +52,8 @@ class Sheet:
         self._minus_force = wp.zeros(V, dtype=wp.vec3d, device=device)
         self._residual = wp.zeros(V, dtype=wp.vec3d, device=device)
         self._state = wp.zeros(V, dtype=wp.int32, device=device)
-        self.tangent_values = wp.zeros(
-            self.assembly.pattern.entry_count, dtype=wp.float64, device=device
-        )
+        entries = len(self.assembly.pattern.keys)
+        self.tangent_values = wp.zeros(entries, dtype=wp.float64, device=device)
         # The host's placed positions, and the last forces and contact states: on the CPU the
         # device's arrays themselves.
         self._host_x = np.zeros((V, 3))
@@ -73,8 +72,8 @@ class Sheet:
 
         F, H, V = len(self._faces.nodes), len(self._hinges.nodes), self._vertex_count
         faces, hinges, nodes = self._faces, self._hinges, [self.nodes, self.floor.state]
-        of_faces, of_hinges = (self._entries(places) for places in self.assembly.entries)
-        of_nodes = self._entries(self.assembly.node_entries)
+        places = *self.assembly.entries, self.assembly.node_entries
+        of_faces, of_hinges, of_nodes = (entries_at(one, self.tangent_values) for one in places)
         force = self._minus_force
         self._forces = launches(
             (elasticity.stretching_force, F, [faces, force]),
@@ -92,12 +91,6 @@ class Sheet:
         self._history = launches((contact.move_anchors, V, nodes))
         if self.floor.extended:
             self._history += launches((contact.advance_friction_state, V, [*nodes, self._state]))
-
-    def _entries(self, places: wp.array) -> Entries:
-        """Positions in the matrix to which elements of one kind contribute."""
-        entries = Entries()
-        entries.place, entries.values = places, self.tangent_values
-        return entries
 
     def _place(self, x: np.ndarray) -> None:
         self._host_x[:] = x

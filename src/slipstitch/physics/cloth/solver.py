@@ -201,9 +201,9 @@ class ClothSolver:
                 tangent.uncouple()
             self._coupled = layers.generation
         self.sheet.assemble()
-        values = tangent.contact_values()
+        tangent.take_elements()
         if layers is not None and len(layers):
-            layers.add_stiffness(self.sheet.x, self._nodes.free, *self._room, values)
+            layers.add_stiffness(self.sheet.x, self._room)
         try:
             tangent.factorise()
         except ArithmeticError as error:

@@ -22,6 +22,13 @@ class Entries:
     values: wp.array(dtype=wp.float64)
 
 
+def entries_at(places: wp.array, values: wp.array) -> Entries:
+    """Put together where elements add, and to what."""
+    entries = Entries()
+    entries.place, entries.values = places, values
+    return entries
+
+
 @wp.func
 def add_entry(entries: Entries, element: int, column: int, value: wp.float64):
     """Add to an element's entry number ``column``."""
@@ -33,48 +40,25 @@ def add_entry(entries: Entries, element: int, column: int, value: wp.float64):
 class _Pattern:
     """Lower triangle of a symmetric matrix of 3 x 3 blocks, in compressed column form.
 
-    Keys are ``column node * node count + row node``, sorted, every diagonal block among them.
+    ``blocks`` are numbers ``column node * node count + row node``, sorted, every diagonal block
+    among them; ``keys`` are such numbers of the entries, likewise.
     """
 
-    def __init__(self, keys: np.ndarray, node_count: int):
-        self.keys = keys
-        self.node_count = node_count
-        self.column, self.row = np.divmod(keys, node_count)
-        per_node = np.bincount(self.column, minlength=node_count)
-        self.first_length = 3 * per_node  # entries in the first of a node's three columns
-        lengths = (self.first_length[:, None] - np.arange(3)).ravel()
-        start = np.concatenate([[0], np.cumsum(lengths)])
-        self.entry_count = int(start[-1])
-        self.node_start = start[0:-1:3]
-        rank = np.arange(len(keys)) - np.concatenate([[0], np.cumsum(per_node)])[self.column]
-        self.block_start = self.node_start[self.column] + 3 * rank
+    def __init__(self, blocks: np.ndarray, node_count: int):
+        self.blocks, self.size = blocks, 3 * node_count
+        column, row = (3 * one[:, None, None] for one in np.divmod(blocks, node_count))
+        rows, columns = np.broadcast_arrays(row + np.arange(3)[:, None], column + np.arange(3))
+        below = rows >= columns
+        self.keys = np.sort(columns[below] * self.size + rows[below])
 
-    def block(self, first: np.ndarray, second: np.ndarray) -> np.ndarray:
-        """Positions of the blocks that couple two nodes among the keys."""
-        row, column = np.maximum(first, second), np.minimum(first, second)
-        return np.searchsorted(self.keys, column.astype(np.int64) * self.node_count + row)
-
-    def entry(self, block: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.ndarray:
-        """Place of entry (row, column), 0...2 each, of a block; row >= column in diagonal ones."""
-        length = self.first_length[self.column[block]]
-        # Each column of a node is one entry shorter than the one before.
-        before = column * length - (column == 2)
-        return self.block_start[block] + before + row - column
-
-    def entries(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        block = np.repeat(np.arange(len(self.keys)), 9)
-        r, c = (np.tile(one.ravel(), len(self.keys)) for one in np.mgrid[0:3, 0:3])
-        below = (self.row[block] != self.column[block]) | (r >= c)
-        return block[below], r[below], c[below]
+    def place(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+        """Places of entries among the keys."""
+        return np.searchsorted(self.keys, columns.astype(np.int64) * self.size + rows)
 
     def matrix(self) -> cvxopt.spmatrix:
-        block, r, c = self.entries()
-        rows = np.empty(self.entry_count, dtype=np.int64)
-        columns = np.empty(self.entry_count, dtype=np.int64)
-        place = self.entry(block, r, c)
-        rows[place], columns[place] = 3 * self.row[block] + r, 3 * self.column[block] + c
-        size = 3 * self.node_count
-        return cvxopt.spmatrix(1.0, cvxopt.matrix(rows), cvxopt.matrix(columns), (size, size))
+        columns, rows = np.divmod(self.keys, self.size)
+        ends = cvxopt.matrix(rows), cvxopt.matrix(columns)
+        return cvxopt.spmatrix(1.0, *ends, (self.size, self.size))
 
 
 class Assembly:
@@ -82,7 +66,7 @@ class Assembly:
 
     Elements (n, k) list the nodes that they couple. ``template`` has the identity at fixed
     coordinates (V, 3), ``entries`` (n, 9 k^2) where an element's entries go, -1 above the diagonal
-    or fixed, and ``node_entries`` (V, 6) likewise of a node's block (xx, yx, yy, zx, zy, zz).
+    or fixed, and ``node_entries`` (V, 9) likewise of a node's block.
     """
 
     def __init__(self, elements: list[np.ndarray], fixed: np.ndarray, device: str):
@@ -91,34 +75,28 @@ class Assembly:
         self.node_count = V = len(fixed)
         keys = [np.arange(V, dtype=np.int64) * (V + 1)]
         keys += [self.pair_keys(nodes) for nodes in elements]
-        self.pattern = _Pattern(np.unique(np.concatenate(keys)), V)
-        template = np.zeros(self.pattern.entry_count)
-        node, axis = np.divmod(np.flatnonzero(self._fixed), 3)
-        template[self.pattern.entry(self.pattern.block(node, node), axis, axis)] = 1.0
+        pattern = self.pattern = _Pattern(np.unique(np.concatenate(keys)), V)
+        template = np.zeros(len(pattern.keys))
+        held = np.flatnonzero(self._fixed)
+        template[pattern.place(held, held)] = 1.0
         self.template = wp.array(template, dtype=wp.float64, device=device)
-        self.entries = [self._places(nodes) for nodes in elements]
-        node = np.arange(V)[:, None]
-        row, column = np.array([0, 1, 1, 2, 2, 2]), np.array([0, 0, 1, 0, 1, 2])
-        place = self.pattern.entry(self.pattern.block(node, node), row, column)
-        loose = ~self._fixed.reshape(V, 3)
-        place = np.where(loose[:, row] & loose[:, column], place, -1)
-        self.node_entries = wp.array(place.astype(np.int32), dtype=wp.int32, device=device)
+        self.entries = [self.places(nodes, pattern) for nodes in elements]
+        self.node_entries = self.places(np.arange(V)[:, None], pattern)
 
     def pair_keys(self, nodes: np.ndarray) -> np.ndarray:
-        """Keys of the blocks that elements couple; nodes of shape (n, k)."""
+        """Numbers of the blocks that elements couple; nodes of shape (n, k)."""
         k = nodes.shape[1]
         a, b = (nodes[:, one].ravel().astype(np.int64) for one in np.tril_indices(k, -1))
         return np.unique(np.minimum(a, b) * self.node_count + np.maximum(a, b))
 
-    def _places(self, nodes: np.ndarray) -> wp.array:
+    def places(self, nodes: np.ndarray, pattern: _Pattern) -> wp.array:
+        """Where entries of elements (n, k) go in a pattern, as ``entries``."""
         size = 3 * nodes.shape[1]
         dof = (nodes[:, :, None] * 3 + np.arange(3)).reshape(len(nodes), size)
         rows, columns = np.repeat(dof, size, axis=1), np.tile(dof, (1, size))
         kept = (rows >= columns) & ~self._fixed[rows] & ~self._fixed[columns]
         place = np.full(rows.shape, -1, dtype=np.int32)
-        r, c = rows[kept], columns[kept]
-        block = self.pattern.block(r // 3, c // 3)
-        place[kept] = self.pattern.entry(block, r % 3, c % 3)
+        place[kept] = pattern.place(rows[kept], columns[kept])
         return wp.array(place, dtype=wp.int32, device=self.device)
 
 
@@ -127,7 +105,6 @@ class Tangent:
 
     def __init__(self, assembly: Assembly, elimination_order: np.ndarray, values: wp.array):
         self._assembly = assembly
-        self._own = assembly.pattern
         self._order = elimination_order
         self._values = values
         self.uncouple()
@@ -136,56 +113,38 @@ class Tangent:
 
     def uncouple(self) -> None:
         """Hold the elements' couplings only."""
-        self._whole = self._own
         self._moved = None
         self._extended = self._values
-        self._new_pattern(self._order)
+        self._new_pattern(self._assembly.pattern, self._order)
 
-    def couple(self, contacts: np.ndarray) -> tuple[wp.array, wp.array]:
-        """Make room for contacts (N, 4), each of which couples four nodes.
+    def couple(self, contacts: np.ndarray) -> Entries:
+        """Make room for contacts (N, 4), each of which couples four nodes."""
+        assembly, own = self._assembly, self._assembly.pattern
+        count = assembly.node_count
+        blocks = np.union1d(own.blocks, assembly.pair_keys(contacts))
+        whole = _Pattern(blocks, count)
+        columns, rows = map(cvxopt.matrix, np.divmod(blocks, count))
+        lower = cvxopt.spmatrix(1.0, rows, columns, (count, count))
+        self._new_pattern(whole, np.array(cvxopt.amd.order(lower)).ravel())
+        self._moved = np.searchsorted(whole.keys, own.keys)
+        self._extended = wp.zeros(len(whole.keys), dtype=wp.float64, device=assembly.device)
+        return entries_at(assembly.places(contacts, whole), self._extended)
 
-        Return (N, 10) of the node pairs b <= a: start and length of the block's first column.
-        """
-        keys = np.union1d(self._own.keys, self._assembly.pair_keys(contacts))
-        whole = self._whole = _Pattern(keys, self._assembly.node_count)
-        size = (whole.node_count, whole.node_count)
-        ends = cvxopt.matrix(whole.row), cvxopt.matrix(whole.column)
-        lower = cvxopt.spmatrix(1.0, *ends, size)
-        self._new_pattern(np.array(cvxopt.amd.order(lower)).ravel())
-        self._moved = self._entry_map()
-        self._extended = wp.zeros(whole.entry_count, dtype=wp.float64, device=self._assembly.device)
-        a, b = np.tril_indices(4)
-        block = whole.block(contacts[:, a], contacts[:, b])
-        return tuple(
-            wp.array(one.astype(np.int32), dtype=wp.int32, device=self._assembly.device)
-            for one in (whole.block_start[block], whole.first_length[whole.column[block]])
-        )
-
-    def _entry_map(self) -> np.ndarray:
-        """Places in the whole pattern of the entries of the elements' own pattern."""
-        own, whole = self._own, self._whole
-        block, r, c = own.entries()
-        moved = np.empty(own.entry_count, dtype=np.int64)
-        to_block = np.searchsorted(whole.keys, own.keys)
-        moved[own.entry(block, r, c)] = whole.entry(to_block[block], r, c)
-        return moved
-
-    def _new_pattern(self, node_order: np.ndarray) -> None:
+    def _new_pattern(self, pattern: _Pattern, node_order: np.ndarray) -> None:
         order = (node_order[:, None] * 3 + np.arange(3)).ravel()
-        self._matrix = self._whole.matrix()
+        self._matrix = pattern.matrix()
         self._permutation = cvxopt.matrix(order.astype(np.int64))
         self._factor = None
         self.factored = False
 
     # -- assembly and solution ------------------------------------------------------------
 
-    def contact_values(self) -> wp.array:
-        """Entries that contacts add to, once the elements have added theirs."""
+    def take_elements(self) -> None:
+        """Take what the elements have added, to which contacts then add."""
         if self._moved is not None:
-            extended = np.zeros(self._whole.entry_count)
+            extended = np.zeros(self._extended.shape)
             extended[self._moved] = self._values.numpy()
             self._extended.assign(extended)
-        return self._extended
 
     def factorise(self) -> None:
         """Factor what was assembled; ArithmeticError if it is not positive definite."""
