@@ -42,18 +42,16 @@ CREEP_DESCENTS = ((10, 1e-2), (100, 1e-2), (100, 1e-4))
 SLOPE_OF_FRICTION = 0.98
 
 
-def simulate(material, friction, window_s, start_height_m=None, **settings):
+def simulate(material, friction, window_s, **settings):
     """One run in a process of its own; its cost and the solver's counts per step."""
     with get_context("spawn").Pool(1) as pool:
-        return pool.apply(_simulate, (material, friction, window_s, start_height_m, settings))
+        return pool.apply(_simulate, (material, friction, window_s, settings))
 
 
-def _simulate(material, friction, window_s, start_height_m, changes):
+def _simulate(material, friction, window_s, changes):
     from slipstitch.config.simulation import SimulationSettings
-    from slipstitch.design.stage_path import StagePath
     from slipstitch.physics.simulation.drop_and_drag import DropAndDrag, simulate_drop_and_drag
 
-    path = StagePath() if start_height_m is None else StagePath(start_height_m=start_height_m)
     warm = SimulationSettings(vertices_per_side=5, frames=2, settle_s=0.0)
     simulate_drop_and_drag(DropAndDrag(material, friction, 0), warm)
     settings = SimulationSettings(**changes)
@@ -61,7 +59,7 @@ def _simulate(material, friction, window_s, start_height_m, changes):
     settings = settings.model_copy(update={"frames": frames})
     simulated_s = settings.settle_s + (frames - 1) / settings.frame_rate_hz
     began = time.process_time()
-    run, columns = simulate_drop_and_drag(DropAndDrag(material, friction, 0), settings, path)
+    run, columns = simulate_drop_and_drag(DropAndDrag(material, friction, 0), settings)
     cpu_s = time.process_time() - began
     solver = run.metadata["solver"]
     return {
@@ -86,7 +84,7 @@ def mesh_part():
     for sides in SIDES:
         rows.append(
             simulate(
-                "royal-target", 0.5, MESH_WINDOW_S, start_height_m=0.2,
+                "royal-target", 0.5, MESH_WINDOW_S, stage={"start_height_m": 0.2},
                 vertices_per_side=sides, frame_rate_hz=10, settle_s=0.0,
             )
         )  # fmt: skip

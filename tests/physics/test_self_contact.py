@@ -10,7 +10,6 @@ from scipy.spatial.transform import Rotation
 from support.mesh_intersections import crossing_pairs
 
 from slipstitch.config.simulation import SimulationSettings
-from slipstitch.design.stage_path import StagePath
 from slipstitch.physics import GRAVITY_M_S2
 from slipstitch.physics.cloth import ClothMesh, ClothSolver, SolverSettings, proximity, rectangle
 from slipstitch.physics.cloth.self_contact import SelfContact
@@ -220,11 +219,11 @@ def _frames_with_crossings(trajectory) -> int:
 @pytest.mark.default_cases(1)
 @pytest.mark.parametrize("self_contact", [True, False])
 def test_cloth_lowered_into_a_heap_lies_on_itself(self_contact):
+    lowered = {"drop_m": 0.18, "speed_m_s": 0.04, "acceleration_m_s2": 0.04, "strokes": 0}
     settings = SimulationSettings(
-        vertices_per_side=13, frames=22, frame_rate_hz=4, self_contact=self_contact
+        vertices_per_side=13, frames=22, frame_rate_hz=4, self_contact=self_contact, stage=lowered
     )
-    path = StagePath(drop_m=0.18, speed_m_s=0.04, acceleration_m_s2=0.04, strokes=0)
-    trajectory, _ = simulate_drop_and_drag(DropAndDrag("gray-interlock", 0.5, 1), settings, path)
+    trajectory, _ = simulate_drop_and_drag(DropAndDrag("gray-interlock", 0.5, 1), settings)
     # Without it the layers do cross: the heap is a test.
     assert (_frames_with_crossings(trajectory) == 0) == self_contact
 

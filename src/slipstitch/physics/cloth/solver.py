@@ -301,7 +301,9 @@ class ClothSolver:
         """
         start = float(np.vdot(residual, correction))
         low, low_work, high, high_work = 0.0, start, None, None
-        most = self._clear_fraction(x, correction)
+        # The largest multiple of the correction that may be tried.
+        clear = self._layers.clear_part(x, EXTRAPOLATION_MAX * correction) if self._layers else 1.0
+        most = EXTRAPOLATION_MAX * clear
         fraction = min(1.0, most)
         for _ in range(10):
             trial = x + fraction * correction
@@ -324,11 +326,6 @@ class ClothSolver:
             if fraction > most:
                 break
         return trial, residual
-
-    def _clear_fraction(self, x: np.ndarray, correction: np.ndarray) -> float:
-        """Largest multiple of a correction that may be tried."""
-        part = self._layers.clear_part(x, EXTRAPOLATION_MAX * correction) if self._layers else 1.0
-        return EXTRAPOLATION_MAX * part
 
     # -- stepping -------------------------------------------------------------------------
 
@@ -489,10 +486,10 @@ class ClothSolver:
 
         ``prescribed`` gives positions (V, 3) at a time, of which the fixed coordinates are read.
         """
-        if duration_s > 1.01 * self._accurate_step_s and halvings < REFINEMENTS_MAX:
-            self._halve(duration_s, prescribed, halvings)
-            return
-        outcome = self._attempt(duration_s, prescribed, halvings < REFINEMENTS_MAX)
+        may_refine = halvings < REFINEMENTS_MAX
+        outcome = Outcome.INACCURATE
+        if duration_s <= 1.01 * self._accurate_step_s or not may_refine:
+            outcome = self._attempt(duration_s, prescribed, may_refine)
         if outcome is Outcome.ACCEPTED:
             return
         if outcome is Outcome.UNSOLVED and halvings >= HALVINGS_MAX:
@@ -510,7 +507,8 @@ class ClothSolver:
                     "faces": self.mesh.faces,
                 },
             )
-        self._halve(duration_s, prescribed, halvings)
+        for _ in range(2):
+            self.advance(duration_s / 2, prescribed, halvings + 1)
 
     def try_step(
         self, duration_s: float, prescribed: Callable[[float], np.ndarray] | None = None
@@ -534,10 +532,6 @@ class ClothSolver:
             self._tangent.factored = False
             self.record.halvings += 1
         return outcome
-
-    def _halve(self, duration_s, prescribed, halvings: int) -> None:
-        self.advance(duration_s / 2, prescribed, halvings + 1)
-        self.advance(duration_s / 2, prescribed, halvings + 1)
 
     def set_gravity(self, gravity_m_s2: tuple[float, float, float]) -> None:
         """Change gravity (a plane that is tilted)."""

@@ -69,19 +69,15 @@ Recorded = tuple[Trajectory, dict[str, np.ndarray]]
 
 
 def simulate_drop_and_drag(
-    run: DropAndDrag,
-    settings: SimulationSettings,
-    path: StagePath | None = None,
-    device: str = "cpu",
+    run: DropAndDrag, settings: SimulationSettings, device: str = "cpu"
 ) -> Recorded:
-    """Simulate one run, with the motion of the clamps in the settings or another, on a Warp device.
+    """Simulate one run on a Warp device.
 
     Return the trajectory, rounded as files hold it, and as columns the ``newton_iterations`` (T,)
     since the frame before and the largest ``residual`` (T,) of an accepted step.
     """
-    path = path or StagePath(**dict(settings.stage))
     with progress(unit="frame", total=settings.frames) as bar:
-        return _Bench(run, settings, path, device).record(bar.update)
+        return _Bench(run, settings, device).record(bar.update)
 
 
 def cloth_mesh(settings: SimulationSettings) -> tuple[cloth.ClothMesh, np.ndarray]:
@@ -165,12 +161,11 @@ class Landing:
 class _Bench:
     """A cloth hung up for one run."""
 
-    def __init__(
-        self, run: DropAndDrag, settings: SimulationSettings, path: StagePath, device: str
-    ):
+    def __init__(self, run: DropAndDrag, settings: SimulationSettings, device: str):
         if not 0 <= run.friction <= FRICTION_MAX:  # nor where it is not a number
             raise BadInput(f"friction {run.friction:g}: must lie between 0 and {FRICTION_MAX:g}")
-        self.run, self.settings, self.path = run, settings, path
+        self.run, self.settings = run, settings
+        self.path = path = StagePath(**dict(settings.stage))
         self.mesh, self.pinned = mesh, pinned = cloth_mesh(settings)
         self.model = model = (
             read_extended_model(settings.model) if settings.model else ExtendedModel(FrictionLaw(0))

@@ -135,8 +135,7 @@ def _simulations(folder: Path) -> Iterator[tuple[Path, dict[str, Any]]]:
     if not paths:
         raise BadInput(f"{folder}: has no simulations (*.parquet)")
     for path in paths:
-        with provenance.open_parquet(path) as file:
-            metadata = provenance.read_metadata(file.schema_arrow)
+        metadata = provenance.read_metadata(path)
         if "material" in metadata and "friction" in metadata:
             yield path, metadata
 

@@ -76,12 +76,8 @@ def decode(differences: np.ndarray) -> np.ndarray:
     frames, vertices = len(differences), differences.shape[1] // 3
     rows, columns = _grid(vertices)
     steps = steps.reshape(frames, rows, columns, 3)
-    np.add.accumulate(steps, axis=2, out=steps)
-    for i in range(1, rows):
-        steps[:, i] += steps[:, i - 1]
-    for _ in range(2):
-        for t in range(1, frames):
-            steps[t] += steps[t - 1]
+    for axis in (2, 1, 0, 0):
+        np.add.accumulate(steps, axis=axis, out=steps)
     return (steps * UNIT_M).astype(np.float32).reshape(frames, vertices, 3)
 
 
