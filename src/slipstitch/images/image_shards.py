@@ -71,11 +71,12 @@ def render_shard(
     # A group holds some tens of images, whole frames of them.
     size = -(-_GROUP // len(view.textures)) * len(view.textures)
     rows = (_row(view, trajectory, *one) for one in composed_images(view, pack, trajectory))
-    with provenance.parquet_stream(out, SCHEMA, compression=how) as stream:
+    with provenance.parquet_stream(out, SCHEMA, compression=how) as writer:
         while group := list(islice(rows, size)):
-            stream.write(group)
+            writer.write_table(pa.Table.from_pylist(group, schema=SCHEMA))
         files += [] if pack_path is None else [Path(pack_path)]
-        stream.describe(*_description(view, pack, trajectory, files, started))
+        said = _description(view, pack, trajectory, files, started)
+        writer.add_key_value_metadata(provenance.described(*said))
     return {
         "frames": len(pack.shots),
         "images": len(pack.shots) * len(view.textures),

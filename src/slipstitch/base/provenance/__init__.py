@@ -17,6 +17,7 @@ from slipstitch.base.provenance.files import (
 from slipstitch.base.provenance.record import (
     attach_metadata,
     count_earlier_attempts,
+    described,
     earlier_attempts,
     parquet_stream,
     provenance_record,

@@ -199,10 +199,10 @@ def attach_metadata(table, metadata: Mapping[str, Any], record: Mapping[str, Any
     keys = dict(schema.metadata or {})
     whole = json.loads(keys.get(METADATA_KEY, b"{}")) | _plain(metadata)
     replace = getattr(table, "replace_schema_metadata", None) or table.with_metadata
-    return replace(keys | _described(whole, record))
+    return replace(keys | described(whole, record))
 
 
-def _described(metadata: Mapping[str, Any], record: Mapping[str, Any] | None) -> dict[bytes, bytes]:
+def described(metadata: Mapping[str, Any], record: Mapping[str, Any] | None) -> dict[bytes, bytes]:
     """What a schema says in metadata: the JSON object, and its SHA-256."""
     whole = {**_plain(metadata), **({} if record is None else {"provenance": _plain(record)})}
     text = json.dumps(whole, allow_nan=False).encode()
@@ -227,28 +227,12 @@ def write_parquet(
         pyarrow.parquet.write_table(whole, stream, **{**WRITE_OPTIONS, **options})
 
 
-class ParquetStream:
-    """A Parquet file that is written group by group; made by `parquet_stream`."""
-
-    def __init__(self, writer):
-        self._writer = writer
-
-    def write(self, rows: list[dict[str, Any]]) -> None:
-        """Append rows as one row group."""
-        import pyarrow as pa
-
-        self._writer.write_table(pa.Table.from_pylist(rows, schema=self._writer.schema))
-
-    def describe(self, metadata: Mapping[str, Any], record: Mapping[str, Any]) -> None:
-        """Say what the file holds and what made it, once, after the last rows."""
-        self._writer.add_key_value_metadata(_described(metadata, record))
-
-
 @contextlib.contextmanager
-def parquet_stream(path: str | os.PathLike, schema, **options: Any) -> Iterator[ParquetStream]:
-    """Write a Parquet file atomically, a group of rows at a time: memory does not grow with it.
+def parquet_stream(path: str | os.PathLike, schema, **options: Any) -> Iterator[Any]:
+    """A ``ParquetWriter`` of a file that is written atomically: memory does not grow with it.
 
-    `schema` must hold types that Parquet itself knows; `options` go to ``ParquetWriter``.
+    `schema` must hold types that Parquet itself knows; `options` go to ``ParquetWriter``. After the
+    last rows `described` says for ``add_key_value_metadata`` what the file holds and what made it.
     """
     import pyarrow.parquet
 
@@ -259,7 +243,7 @@ def parquet_stream(path: str | os.PathLike, schema, **options: Any) -> Iterator[
         open(temporary, "wb") as stream,
         pyarrow.parquet.ParquetWriter(stream, schema, **options) as writer,
     ):
-        yield ParquetStream(writer)
+        yield writer
 
 
 def read_metadata(source) -> dict[str, Any]:
