@@ -49,10 +49,10 @@ def release(arguments: options.Arguments) -> None:
     folders = arguments.results, arguments.out_dir, arguments.project
     done = write_release(options.configuration(arguments), *folders, arguments.sign)
     print(
-        f"{arguments.out_dir}: {done.videos} videos, {done.images} images, {done.files} files, "
-        f"{done.size_bytes / 1e6:.1f} MB"
+        f"{arguments.out_dir}: {done['videos']} videos, {done['images']} images, "
+        f"{done['files']} files, {done['size_bytes'] / 1e6:.1f} MB"
     )
-    print(f"SHA-256 of SHA256SUMS, to be published separately: {done.sums_sha256}")
+    print(f"SHA-256 of SHA256SUMS, to be published separately: {done['sums_sha256']}")
 
 
 @options.verb("slipstitch audit results/release --json audit.json --page audit.html")

@@ -24,7 +24,6 @@ from slipstitch.dataset.release.checksums import SUMS, read_sums
 from slipstitch.dataset.release.currency import calibrated_by
 from slipstitch.dataset.release.manifest import MANIFEST
 
-SAMPLED_MANIFEST = f"results/sample/{MANIFEST}"
 FRAMES_MAX = 1_000_000
 _TEXTS = ("video", "simulation", "material", "pixels_sha256", "sampled_file", "shard", "part")
 NEEDED_COLUMNS = {
@@ -142,7 +141,7 @@ class Contents:
             for path in self.behind(row):
                 found[path].append(row["video"])
         known = {*self.artefacts, *found}
-        found |= dict.fromkeys((SAMPLED_MANIFEST, records.VERIFICATION), self.clips)
+        found |= dict.fromkeys((records.SAMPLED_MANIFEST, records.VERIFICATION), self.clips)
         for path in known:
             found[records.record_file(path)] = found[records.carried_file(path)] = found[path]
         return {path: tuple(clips) for path, clips in (shards | found).items()}

@@ -23,7 +23,7 @@ from slipstitch.base.provenance import file_digest
 from slipstitch.base.provenance.code import PACKAGE, RESULT_PACKAGES
 from slipstitch.config import Config
 from slipstitch.config.catalogue import FABRICS_FILE
-from slipstitch.dataset.audit.contents import SAMPLED_MANIFEST, Contents
+from slipstitch.dataset.audit.contents import Contents
 from slipstitch.dataset.audit.files import Shard
 from slipstitch.dataset.audit.findings import Kind
 from slipstitch.dataset.manifest import dataset_digest, video_labels
@@ -84,7 +84,7 @@ def _check_links(contents: Contents) -> None:
     """Note records that are missing, or about other files than what was made from them says."""
     artefacts = contents.artefacts
     starts = {path for row in contents.rows for path in contents.behind(row)}
-    starts |= {SAMPLED_MANIFEST} | ({records.VERIFICATION} & set(artefacts))
+    starts |= {records.SAMPLED_MANIFEST} | ({records.VERIFICATION} & set(artefacts))
     for path in sorted(starts):
         artefact = artefacts.get(path)
         where, clips = records.record_file(path), contents.clips_of(path)
@@ -104,11 +104,11 @@ def _check_links(contents: Contents) -> None:
                 what = f"was made from a {name} other than the one described by {other}"
                 touched = min(contents.clips_of(name), clips, key=len)
                 contents.broken(where, what, touched)
-    manifest = artefacts.get(SAMPLED_MANIFEST)
+    manifest = artefacts.get(records.SAMPLED_MANIFEST)
     for row in contents.rows:
         if manifest and f"results/sample/{row['sampled_file']}" not in manifest.inputs:
             what = f"the manifest was not made from {row['sampled_file']}"
-            contents.broken(records.record_file(SAMPLED_MANIFEST), what, [row["video"]])
+            contents.broken(records.record_file(records.SAMPLED_MANIFEST), what, [row["video"]])
         if not (contents.of_stage(row, "simulate") and contents.of_stage(row, "render")):
             what = f"{row['video']}: its rendering or simulation is missing"
             contents.broken(MANIFEST, what, [row["video"]])
@@ -145,10 +145,10 @@ def _carried_fabric(sources: Path, name: str) -> str | None:
 
 def _check_sampled(contents: Contents) -> None:
     """Compare the manifest with the digest that the sampling stage noted of its rows."""
-    record, rows = contents.artefacts.get(SAMPLED_MANIFEST), _sampled_rows(contents)
+    record, rows = contents.artefacts.get(records.SAMPLED_MANIFEST), _sampled_rows(contents)
     if record and rows and dataset_digest(rows) != record.metadata.get("dataset_digest"):
         what = "labels, splits or pixel digests differ from those of the sampling stage"
-        contents.broken(MANIFEST, f"{what} ({records.record_file(SAMPLED_MANIFEST)})")
+        contents.broken(MANIFEST, f"{what} ({records.record_file(records.SAMPLED_MANIFEST)})")
     if not rows or dataset_digest(contents.rows) != contents.notes.get("dataset_digest"):
         contents.broken(MANIFEST, "its rows do not match their digest")
 

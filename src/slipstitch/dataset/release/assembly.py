@@ -3,7 +3,6 @@
 import os
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -26,17 +25,6 @@ from slipstitch.dataset.release.description import CARD, card_of, facts_of
 from slipstitch.dataset.release.shards import write_previews, write_shards
 
 _ROOM = 1.02  # records, code and previews come on top of the shards
-
-
-@dataclass(frozen=True)
-class Released:
-    """What was written."""
-
-    videos: int
-    images: int
-    files: int
-    size_bytes: int
-    sums_sha256: str
 
 
 def check_current(
@@ -97,13 +85,13 @@ def write_release(
     out: str | os.PathLike,
     project: str | os.PathLike,
     key: str | os.PathLike | None = None,
-) -> Released:
+) -> dict[str, Any]:
     """Write a release of the sampled dataset, signed if there is an SSH key.
 
     `results`, with ``sample/``, ``render/`` and the others in it, was made with `config` by the
     code of the checkout `project`; `out` must not exist yet. BadInput if results are missing,
     altered or not up to date, or `out` exists; SlipstitchError if the disk is full: nothing is left
-    then.
+    then. Return the numbers of what was written, and the SHA-256 of its sums.
     """
     started = start_clock()
     results, out = Path(results), Path(out)
@@ -115,7 +103,7 @@ def write_release(
     project = currency.check_project(project)
     sample = results / "sample"
     sampled, _ = read_manifest(sample)
-    made = [f"results/sample/{manifest.MANIFEST}"]
+    made = [records.SAMPLED_MANIFEST]
     if (results.parent / records.VERIFICATION).is_file():
         made.append(records.VERIFICATION)
     artefacts = records.collect(made, results.parent, _outside(config))
@@ -143,7 +131,7 @@ def _fill(
     project: Path,
     started: tuple[float, float],
     key: str | os.PathLike | None,
-) -> Released:
+) -> dict[str, Any]:
     sample = results / "sample"
     splits = manifest.split_columns(sampled, config)
     part_of = manifest.parts(splits)
@@ -166,15 +154,12 @@ def _fill(
     (folder / records.CROISSANT).write_text(croissant_text(folder, facts), encoding="utf-8")
     record = provenance_record(
         "release",
-        inputs=[results / "sample" / manifest.MANIFEST],
         config={"release": config.release, "seed": config.seed},
         seed=config.seed,
         started=started,
     )
     # As the other records call it, whatever the working folder.
-    record["inputs"] = {
-        f"results/sample/{manifest.MANIFEST}": file_digest(sample / manifest.MANIFEST)
-    }
+    record["inputs"] = {records.SAMPLED_MANIFEST: file_digest(sample / manifest.MANIFEST)}
     (folder / records.CRATE).write_text(
         crate_text(folder, facts, artefacts, record), encoding="utf-8"
     )
@@ -189,13 +174,13 @@ def _fill(
         files.append(checksums.SIGNATURE)
     for name in files:
         (folder / name).chmod(0o444)
-    return Released(
-        videos=len(rows),
-        images=sum(row["frames"] for row in rows),
-        files=len(files),
-        size_bytes=sum((folder / name).stat().st_size for name in files),
-        sums_sha256=digest,
-    )
+    return {
+        "videos": len(rows),
+        "images": sum(row["frames"] for row in rows),
+        "files": len(files),
+        "size_bytes": sum((folder / name).stat().st_size for name in files),
+        "sums_sha256": digest,
+    }
 
 
 def _write_records(
@@ -204,12 +189,9 @@ def _write_records(
     for path, artefact in artefacts.items():
         records.write_record(artefact, folder)
         if records.is_carried(artefact):
-            place, carried = (
-                records.locate(path, results.parent, _outside(config)),
-                records.carried_file(path),
-            )
-            (folder / carried).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copyfile(place, folder / carried)
+            carried = folder / records.carried_file(path)
+            carried.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copyfile(records.locate(path, results.parent, _outside(config)), carried)
     write_json(folder / records.CONFIG, config.model_dump(mode="json"))
     if (results / "grid.parquet").is_file():
         shutil.copyfile(results / "grid.parquet", folder / records.GRID)

@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 
 from slipstitch.base.provenance import attach_metadata
 from slipstitch.config import Config
-from slipstitch.dataset.manifest import MANIFEST_SCHEMA, dataset_digest
+from slipstitch.dataset.manifest import MANIFEST, MANIFEST_SCHEMA, dataset_digest
 from slipstitch.design.grid import simulations
 from slipstitch.design.interpolation import interpolations
 from slipstitch.design.splits import SIDES
@@ -150,7 +150,6 @@ def parts_of_splits(
     return found
 
 
-MANIFEST = "manifest.parquet"
 # Columns of the sample stage's manifest that the release gives its own meaning.
 SAMPLED = "sampled_"
 

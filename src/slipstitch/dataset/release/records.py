@@ -14,10 +14,12 @@ from pydantic import BaseModel, ConfigDict, TypeAdapter, ValidationError
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.provenance import file_digest, read_metadata, read_parquet, read_provenance
+from slipstitch.dataset.manifest import MANIFEST
 
 RECORDS = "records"
 #: Where `slipstitch.physics.simulation.simulation_files` looks for the simulations of a release.
 SIMULATIONS = "simulations"
+SAMPLED_MANIFEST = f"results/sample/{MANIFEST}"
 #: Written beside the dataset: a sample of its images against direct renders.
 VERIFICATION = "results/render/verification.json"
 CONFIG = f"{RECORDS}/config.json"
