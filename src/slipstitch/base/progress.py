@@ -36,15 +36,14 @@ def progress(
     *,
     unit: str,
     total: int | None = None,
-    initial: int = 0,
 ) -> tqdm:
     """A tqdm bar over `items`, or one that is told with ``update``, on stderr.
 
     Where stderr is no terminal (a log, a pipe), it writes a line every `LINE_INTERVAL_S` seconds
     and nothing at all in jobs that are shorter. `description` goes in front, `unit` is one item in
-    the singular; `total` says how many there are, and `initial` with how many it begins.
+    the singular; `total` says how many there are.
     """
-    options: dict = {"unit": unit, "total": total, "initial": initial, "desc": description}
+    options: dict = {"unit": unit, "total": total, "desc": description}
     if sys.stderr.isatty():
         return tqdm(items, file=sys.stderr, **options)
     options |= {"mininterval": LINE_INTERVAL_S, "delay": LINE_INTERVAL_S, "miniters": 1}

@@ -166,11 +166,9 @@ class Videos:
 
     def seen_with(self, pixels: int, frames: int | None) -> "Videos":
         """With fewer frames, at regular intervals from the first, and images of another side."""
-        stored, side = self.pixels.shape[1:3]
+        stored = self.pixels.shape[1]
         kept = sampled_frames(stored, frames or stored)
-        seen = self.pixels[:, kept]
-        if pixels != side:
-            seen = np.stack([resized(video, pixels) for video in seen])
+        seen = np.stack([resized(video, pixels) for video in self.pixels[:, kept]])
         points_m = None if self.points_m is None else self.points_m[:, kept]
         return Videos(self.rows, seen, self.digest, points_m)
 
@@ -216,8 +214,7 @@ def read_videos(
             if pixels_digest(whole) != row["pixels_sha256"]:
                 what = f"{row['video']} was altered: its pixels do not match the manifest"
                 raise Damaged(path, what)
-            seen = whole[kept]
-            array[index] = seen if side == rendered else resized(seen, side)
+            array[index] = resized(whole[kept], side)
             if row["viewpoint_id"] in marked:
                 places = np.array(marked[row["viewpoint_id"]], np.float32)
                 points_m[index] = places.reshape(stored, -1, 3)[kept]
@@ -225,7 +222,9 @@ def read_videos(
 
 
 def resized(video: np.ndarray, side: int) -> np.ndarray:
-    """Frames (frames, any, any, 3) averaged down (or blown up) to another side."""
+    """Frames (frames, any, any, 3) averaged down (or blown up) to a side."""
+    if side == video.shape[1]:
+        return video
     filtered = Image.Resampling.BOX if side < video.shape[1] else Image.Resampling.BICUBIC
     return np.stack(
         [np.asarray(Image.fromarray(frame).resize((side, side), filtered)) for frame in video]

@@ -55,13 +55,13 @@ def span(interval: Sequence[float], digits: int = 3) -> str:
     return f"{low:.{digits}f} … {high:.{digits}f}"
 
 
-def duration(seconds: float | None, digits: int = 1, unknown: str = NONE) -> str:
+def duration(seconds: float | None, digits: int = 1) -> str:
     """A time in the unit that reads best; hours always to a tenth.
 
-    None and what is not a number are `unknown`; `digits` is of seconds and minutes.
+    A dash for None and what is not a number; `digits` is of seconds and minutes.
     """
     if seconds is None or seconds != seconds:
-        return unknown
+        return NONE
     if seconds < 100:
         return f"{seconds:.{digits}f} s"
     if seconds < 100 * 60:

@@ -216,7 +216,7 @@ class Instrument:
             need = f"uint8 of shape ({self.card['frames']}, side, side, 3) is required"
             raise BadInput(f"the frames are {kind} of shape {shape}: {need}")
         side = self.networks[0].pixels
-        return frames if shape[1] == side else resized(frames, side)
+        return resized(frames, side)
 
 
 def check_fits(
