@@ -15,8 +15,6 @@ import warp as wp
 
 from slipstitch.base.errors import NotConverged
 
-wp.set_module_options({"enable_backward": False})
-
 VERTEX_TRIANGLE = wp.constant(0)
 EDGE_EDGE = wp.constant(1)
 
@@ -159,23 +157,6 @@ def clear_part(kind: int, p: Corners, move: Corners) -> wp.float64:
     return part
 
 
-@wp.struct
-class Motion:
-    """Straight ways of the nodes, and how near to each other parts have to come to be listed."""
-
-    x: wp.array(dtype=wp.vec3d)
-    move: wp.array(dtype=wp.vec3d)
-    reach: wp.float64
-
-
-@wp.struct
-class Found:
-    """Pairs that were found, and how many there are, which may be more than have room."""
-
-    pairs: wp.array(dtype=wp.vec2i)
-    count: wp.array(dtype=wp.int32)
-
-
 @wp.kernel
 def swept_boxes(
     x: wp.array(dtype=wp.vec3d),
@@ -210,12 +191,15 @@ def shares_node(n: wp.vec4i, kind: int) -> bool:
 def near_pairs(
     bvh: wp.uint64,
     kind: int,
-    motion: Motion,
+    x: wp.array(dtype=wp.vec3d),
+    move: wp.array(dtype=wp.vec3d),
+    reach: wp.float64,
     first: wp.array(dtype=wp.int32, ndim=2),
     second: wp.array(dtype=wp.int32, ndim=2),
     lower: wp.array(dtype=wp.vec3),
     upper: wp.array(dtype=wp.vec3),
-    found: Found,
+    pairs: wp.array(dtype=wp.vec2i),
+    count: wp.array(dtype=wp.int32),
 ):
     """List pairs that come nearer than reach on their way; count also those without room."""
     i = wp.tid()
@@ -230,11 +214,11 @@ def near_pairs(
             n = wp.vec4i(first[i, 0], first[i, 1], second[j, 0], second[j, 1])
             apart = j > i
         if apart and not shares_node(n, kind):
-            bound = motion.reach + largest_approach(kind, corners_of(motion.move, n))
-            if distance(kind, corners_of(motion.x, n)) < bound:
-                at = wp.atomic_add(found.count, 0, 1)
-                if at < found.pairs.shape[0]:
-                    found.pairs[at] = wp.vec2i(i, j)
+            bound = reach + largest_approach(kind, corners_of(move, n))
+            if distance(kind, corners_of(x, n)) < bound:
+                at = wp.atomic_add(count, 0, 1)
+                if at < pairs.shape[0]:
+                    pairs[at] = wp.vec2i(i, j)
 
 
 class NearPairs:
@@ -252,9 +236,8 @@ class NearPairs:
         self._vertex_boxes = boxes(np.arange(vertex_count)[:, None])
         self._face_boxes = boxes(faces)
         self._edge_boxes, self._edge_ways = boxes(self.edges), boxes(self.edges)
-        self._found = Found()
-        self._found.pairs = wp.zeros(4096, dtype=wp.vec2i, device=device)
-        self._found.count = wp.zeros(1, dtype=wp.int32, device=device)
+        self._pairs = wp.zeros(4096, dtype=wp.vec2i, device=device)
+        self._count = wp.zeros(1, dtype=wp.int32, device=device)
 
     def search(self, x: wp.array, move: wp.array, reach_m: float) -> np.ndarray:
         """Keys, increasing, of the pairs that come nearer than reach on a straight motion."""
@@ -266,29 +249,27 @@ class NearPairs:
             (VERTEX_TRIANGLE, self._vertex_boxes, self._face_boxes),
             (EDGE_EDGE, self._edge_ways, self._edge_boxes),
         ]
-        motion = Motion()
-        motion.x, motion.move, motion.reach = x, move, reach_m
-        vertices, edges = (self._search(*kind_and_parts, motion) for kind_and_parts in among)
+        vertices, edges = (self._search(*parts, x, move, reach_m) for parts in among)
         keys = np.concatenate([vertices, edges + self._boundary])
         keys.sort()
         return keys
 
-    def _search(self, kind, first, second, motion: Motion) -> np.ndarray:
+    def _search(self, kind, first, second, x, move, reach_m: float) -> np.ndarray:
         while True:
-            self._found.count.zero_()
+            self._count.zero_()
             boxes = first.elements, second.elements, first.lower, first.upper
-            inputs = [second.tree(), kind, motion, *boxes, self._found]
+            inputs = [second.tree(), kind, x, move, reach_m, *boxes, self._pairs, self._count]
             wp.launch(near_pairs, len(first.elements), inputs=inputs, device=self.device)
-            count = int(self._found.count.numpy()[0])
+            count = int(self._count.numpy()[0])
             if count > PAIRS_MAX:
                 raise NotConverged(
-                    f"self-contact: {count} pairs closer than {1e3 * motion.reach:g} mm; at most "
+                    f"self-contact: {count} pairs closer than {1e3 * reach_m:g} mm; at most "
                     f"{PAIRS_MAX}"
                 )
-            if count <= self._found.pairs.shape[0]:
-                pairs = self._found.pairs.numpy()[:count].astype(np.int64)
+            if count <= self._pairs.shape[0]:
+                pairs = self._pairs.numpy()[:count].astype(np.int64)
                 return pairs[:, 0] * second.elements.shape[0] + pairs[:, 1]
-            self._found.pairs = wp.zeros(2 * count, dtype=wp.vec2i, device=self.device)
+            self._pairs = wp.zeros(2 * count, dtype=wp.vec2i, device=self.device)
 
     def nodes_and_kinds(self, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Nodes, shape (P, 4), and kinds of the pairs of given keys."""

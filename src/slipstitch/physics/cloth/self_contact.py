@@ -19,8 +19,6 @@ from slipstitch.physics.cloth.mesh import ClothMesh
 from slipstitch.physics.cloth.proximity import Corners, NearPairs, corners_of
 from slipstitch.physics.cloth.tangent import Entries, add_entry
 
-wp.set_module_options({"enable_backward": False})
-
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
 # Squared sine of the angle between edges under which their force fades (about 1.8 degrees).
@@ -144,17 +142,19 @@ def move_self_anchors(
 
 
 @wp.kernel
-def closest_points(x: wp.array(dtype=wp.vec3d), pairs: Pairs, at: wp.array(dtype=wp.vec2d)):
-    i = wp.tid()
-    at[i] = proximity.closest(pairs.kinds[i], corners_of(x, pairs.nodes[i]))
+def begin_pairs(
+    x: wp.array(dtype=wp.vec3d), rest: wp.array(dtype=wp.vec3d), pairs: Pairs, thickness: wp.float64
+):
+    """Give pairs their thickness, and new ones, whose memory is NaN, the points that meet now.
 
-
-@wp.kernel
-def pair_thickness(rest: wp.array(dtype=wp.vec3d), pairs: Pairs, thickness: wp.float64):
-    """The cloth's thickness; for neighbours in the sheet at most half their distance at rest."""
+    It is the cloth's; for neighbours in the sheet at most half their distance at rest.
+    """
     i = wp.tid()
-    apart = proximity.distance(pairs.kinds[i], corners_of(rest, pairs.nodes[i]))
+    kind, n = pairs.kinds[i], pairs.nodes[i]
+    apart = proximity.distance(kind, corners_of(rest, n))
     pairs.thicknesses[i] = wp.min(thickness, wp.float64(0.5) * apart)
+    if wp.isnan(pairs.anchors[i][0]):
+        pairs.anchors[i] = proximity.closest(kind, corners_of(x, n))
 
 
 @wp.kernel
@@ -193,7 +193,6 @@ class SelfContact:
         self._x = wp.zeros(V, dtype=wp.vec3d, device=device)
         self._near = NearPairs(mesh.faces, V, device)
         self._reference: tuple[np.ndarray, np.ndarray] | None = None
-        self.generation = 0  # counts changes of the list
         self._keys = np.zeros(0, dtype=np.int64)
         self._set_pairs(self._keys, np.zeros((0, 2)))
 
@@ -229,7 +228,7 @@ class SelfContact:
 
     def _set_pairs(self, keys: np.ndarray, anchors: np.ndarray) -> None:
         self._keys = keys
-        self.generation += 1
+        self.room: Entries | None = None  # of the list in the tangent
         self.nodes, kinds = self._near.nodes_and_kinds(keys)
         pairs = self.pairs = Pairs()
         pairs.stiffness, pairs.friction = self.stiffness_N_m, self.friction
@@ -239,14 +238,7 @@ class SelfContact:
         pairs.thicknesses = wp.zeros(len(keys), dtype=wp.float64, device=self.device)
         self._touching = wp.zeros(len(keys), dtype=wp.int32, device=self.device)
         self._part = wp.zeros(len(keys), dtype=wp.float64, device=self.device)
-        if not len(keys):
-            return
-        self._launch(pair_thickness, [self._rest, pairs, self.thickness_m])
-        fresh = np.isnan(anchors[:, 0])
-        if fresh.any():
-            here = wp.zeros(len(keys), dtype=wp.vec2d, device=self.device)
-            self._launch(closest_points, [self._x, pairs, here])
-            pairs.anchors.assign(np.where(fresh[:, None], here.numpy(), anchors))
+        self._launch(begin_pairs, [self._x, self._rest, pairs, self.thickness_m])
 
     def _launch(self, kernel, inputs: list) -> None:
         if len(self):
@@ -269,9 +261,9 @@ class SelfContact:
         """Add minus the contact's forces at positions x, in N."""
         self._launch(self_contact_force, [x, self.pairs, minus_force])
 
-    def add_stiffness(self, x: wp.array, entries: Entries) -> None:
-        """Add the contact's stiffness to the entries of the tangent, in N/m."""
-        self._launch(self_contact_stiffness, [x, self.pairs, entries])
+    def add_stiffness(self, x: wp.array) -> None:
+        """Add the contact's stiffness to its room in the tangent, in N/m."""
+        self._launch(self_contact_stiffness, [x, self.pairs, self.room])
 
     def move_anchors(self, x: wp.array) -> int:
         """Update the memory after an accepted step; number of pairs that touch."""

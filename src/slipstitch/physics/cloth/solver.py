@@ -185,7 +185,6 @@ class ClothSolver:
                 friction=float(self.friction.max()) if friction is None else friction,
                 device=settings.device,
             )
-        self._coupled = -1  # generation of the pairs that the tangent has room for
         self._evaluate = self.sheet.forces
 
     # -- pieces of a step -----------------------------------------------------------------
@@ -194,16 +193,12 @@ class ClothSolver:
         """Assemble and factor the tangent at the positions last evaluated."""
         tangent = self._tangent
         layers = self._layers
-        if layers is not None and self._coupled != layers.generation:
-            if len(layers):
-                self._room = tangent.couple(layers.nodes)
-            else:
-                tangent.uncouple()
-            self._coupled = layers.generation
+        if layers is not None and layers.room is None:
+            layers.room = tangent.couple(layers.nodes)
         self.sheet.assemble()
         tangent.take_elements()
-        if layers is not None and len(layers):
-            layers.add_stiffness(self.sheet.x, self._room)
+        if layers is not None:
+            layers.add_stiffness(self.sheet.x)
         try:
             tangent.factorise()
         except ArithmeticError as error:

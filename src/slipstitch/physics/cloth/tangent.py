@@ -107,35 +107,28 @@ class Tangent:
         self._assembly = assembly
         self._order = elimination_order
         self._values = values
-        self.uncouple()
-
-    # -- contacts between far nodes -------------------------------------------------------
-
-    def uncouple(self) -> None:
-        """Hold the elements' couplings only."""
-        self._moved = None
-        self._extended = self._values
-        self._new_pattern(self._assembly.pattern, self._order)
+        self.couple(np.zeros((0, 4), dtype=np.int32))
 
     def couple(self, contacts: np.ndarray) -> Entries:
-        """Make room for contacts (N, 4), each of which couples four nodes."""
-        assembly, own = self._assembly, self._assembly.pattern
-        count = assembly.node_count
-        blocks = np.union1d(own.blocks, assembly.pair_keys(contacts))
-        whole = _Pattern(blocks, count)
-        columns, rows = map(cvxopt.matrix, np.divmod(blocks, count))
-        lower = cvxopt.spmatrix(1.0, rows, columns, (count, count))
-        self._new_pattern(whole, np.array(cvxopt.amd.order(lower)).ravel())
-        self._moved = np.searchsorted(whole.keys, own.keys)
-        self._extended = wp.zeros(len(whole.keys), dtype=wp.float64, device=assembly.device)
-        return entries_at(assembly.places(contacts, whole), self._extended)
-
-    def _new_pattern(self, pattern: _Pattern, node_order: np.ndarray) -> None:
-        order = (node_order[:, None] * 3 + np.arange(3)).ravel()
+        """Make room for contacts (N, 4) between far nodes, each of which couples four."""
+        assembly, pattern, order = self._assembly, self._assembly.pattern, self._order
+        self._extended, self._moved = self._values, None
+        if len(contacts):
+            count = assembly.node_count
+            blocks = np.union1d(pattern.blocks, assembly.pair_keys(contacts))
+            whole = _Pattern(blocks, count)
+            columns, rows = map(cvxopt.matrix, np.divmod(blocks, count))
+            lower = cvxopt.spmatrix(1.0, rows, columns, (count, count))
+            order = np.array(cvxopt.amd.order(lower)).ravel()
+            self._moved = np.searchsorted(whole.keys, pattern.keys)
+            self._extended = wp.zeros(len(whole.keys), dtype=wp.float64, device=assembly.device)
+            pattern = whole
         self._matrix = pattern.matrix()
+        order = (order[:, None] * 3 + np.arange(3)).ravel()
         self._permutation = cvxopt.matrix(order.astype(np.int64))
         self._factor = None
         self.factored = False
+        return entries_at(assembly.places(contacts, pattern), self._extended)
 
     # -- assembly and solution ------------------------------------------------------------
 
