@@ -16,7 +16,7 @@ from slipstitch.physics.cloth import bending, contact, elasticity
 from slipstitch.physics.cloth.contact import FloorFriction
 from slipstitch.physics.cloth.mesh import ClothMesh
 from slipstitch.physics.cloth.self_contact import SelfContact
-from slipstitch.physics.cloth.tangent import Assembly, entries_at
+from slipstitch.physics.cloth.tangent import Tangent
 from slipstitch.physics.fabric import ElasticTables
 
 
@@ -39,7 +39,8 @@ class Sheet:
         self.device, self.floor, self.nodes = device, floor, nodes
         self.layers: SelfContact | None = None  # whose forces are added
         V = self._vertex_count = mesh.vertex_count
-        self.assembly = Assembly([mesh.faces, mesh.hinges], fixed, device)
+        elements = [mesh.faces, mesh.hinges, np.arange(V)[:, None]]
+        self.tangent = Tangent(elements, fixed, mesh.elimination_order, device)
         nodes.target = wp.zeros(V, dtype=wp.vec3d, device=device)
         nodes.free = wp.array((~fixed).astype(float), dtype=wp.vec3d, device=device)
         nodes.anchor = wp.zeros(V, dtype=wp.vec2d, device=device)
@@ -52,8 +53,6 @@ class Sheet:
         self._minus_force = wp.zeros(V, dtype=wp.vec3d, device=device)
         self._residual = wp.zeros(V, dtype=wp.vec3d, device=device)
         self._state = wp.zeros(V, dtype=wp.int32, device=device)
-        entries = len(self.assembly.pattern.keys)
-        self.tangent_values = wp.zeros(entries, dtype=wp.float64, device=device)
         # The host's placed positions, and the last forces and contact states: on the CPU the
         # device's arrays themselves.
         self._host_x = np.zeros((V, 3))
@@ -72,8 +71,7 @@ class Sheet:
 
         F, H, V = len(self._faces.nodes), len(self._hinges.nodes), self._vertex_count
         faces, hinges, nodes = self._faces, self._hinges, [self.nodes, self.floor.state]
-        places = *self.assembly.entries, self.assembly.node_entries
-        of_faces, of_hinges, of_nodes = (entries_at(one, self.tangent_values) for one in places)
+        of_faces, of_hinges, of_nodes = self.tangent.entries
         force = self._minus_force
         self._forces = launches(
             (elasticity.stretching_force, F, [faces, force]),
@@ -118,9 +116,14 @@ class Sheet:
 
     def assemble(self) -> None:
         """Assemble the tangent at the positions last evaluated."""
-        wp.copy(self.tangent_values, self.assembly.template)
+        if self.layers is not None and self.layers.room is None:
+            self.layers.room = self.tangent.couple(self.layers.nodes)
+        self.tangent.clear()
         for launch in self._stiffness:
             launch.launch()
+        self.tangent.take_elements()
+        if self.layers is not None:
+            self.layers.add_stiffness(self.x)
 
     def begin_step(self, x: np.ndarray | None = None) -> None:
         """Refer damping to the strains at x; at the positions last evaluated by default."""

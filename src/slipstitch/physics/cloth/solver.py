@@ -25,7 +25,7 @@ from slipstitch.physics.cloth.contact import Conditions, FloorFriction
 from slipstitch.physics.cloth.mesh import ClothMesh
 from slipstitch.physics.cloth.self_contact import SelfContact
 from slipstitch.physics.cloth.sheet import Sheet, check_device
-from slipstitch.physics.cloth.tangent import Tangent, flexible_gmres
+from slipstitch.physics.cloth.tangent import flexible_gmres
 from slipstitch.physics.fabric import ElasticTables
 from slipstitch.physics.friction_law import FrictionLaw
 
@@ -172,9 +172,7 @@ class ClothSolver:
         nodes.target.assign(self.positions_m)
         nodes.anchor.assign(np.ascontiguousarray(self.positions_m[:, :2]))
         self.set_gravity(conditions.gravity_m_s2)
-        self._tangent = Tangent(
-            self.sheet.assembly, mesh.elimination_order, self.sheet.tangent_values
-        )
+        self._tangent = self.sheet.tangent
         self._layers: SelfContact | None = None
         if settings.self_contact:
             friction = settings.layer_friction
@@ -191,16 +189,9 @@ class ClothSolver:
 
     def _factorise(self) -> None:
         """Assemble and factor the tangent at the positions last evaluated."""
-        tangent = self._tangent
-        layers = self._layers
-        if layers is not None and layers.room is None:
-            layers.room = tangent.couple(layers.nodes)
         self.sheet.assemble()
-        tangent.take_elements()
-        if layers is not None:
-            layers.add_stiffness(self.sheet.x)
         try:
-            tangent.factorise()
+            self._tangent.factorise()
         except ArithmeticError as error:
             raise NotConverged(
                 f"at {self.time_s:.4f} s the tangent is not positive definite ({error})"

@@ -22,13 +22,6 @@ class Entries:
     values: wp.array(dtype=wp.float64)
 
 
-def entries_at(places: wp.array, values: wp.array) -> Entries:
-    """Put together where elements add, and to what."""
-    entries = Entries()
-    entries.place, entries.values = places, values
-    return entries
-
-
 @wp.func
 def add_entry(entries: Entries, element: int, column: int, value: wp.float64):
     """Add to an element's entry number ``column``."""
@@ -61,76 +54,73 @@ class _Pattern:
         return cvxopt.spmatrix(1.0, *ends, (self.size, self.size))
 
 
-class Assembly:
-    """Positions in the tangent stiffness to which the elements of a mesh contribute.
+class Tangent:
+    """Tangent stiffness of a sheet, to which elements and contacts add; factored by CHOLMOD.
 
-    Elements (n, k) list the nodes that they couple. ``template`` has the identity at fixed
-    coordinates (V, 3), ``entries`` (n, 9 k^2) where an element's entries go, -1 above the diagonal
-    or fixed, and ``node_entries`` (V, 9) likewise of a node's block.
+    Elements (n, k) list the nodes that they couple, or nodes alone, of which none may be missing.
+    ``entries`` say of each kind where its entries go, (n, 9 k^2): -1 above the diagonal, and where
+    a coordinate is ``fixed`` (V, 3), which has a 1 on the diagonal.
     """
 
-    def __init__(self, elements: list[np.ndarray], fixed: np.ndarray, device: str):
-        self.device = device
-        self._fixed = fixed.ravel()
-        self.node_count = V = len(fixed)
-        keys = [np.arange(V, dtype=np.int64) * (V + 1)]
-        keys += [self.pair_keys(nodes) for nodes in elements]
-        pattern = self.pattern = _Pattern(np.unique(np.concatenate(keys)), V)
-        template = np.zeros(len(pattern.keys))
+    def __init__(
+        self,
+        elements: list[np.ndarray],
+        fixed: np.ndarray,
+        elimination_order: np.ndarray,
+        device: str,
+    ):
+        self._fixed, self._node_count, self._device = fixed.ravel(), len(fixed), device
+        self._order = elimination_order
+        blocks = np.unique(np.concatenate([self._blocks(nodes) for nodes in elements]))
+        own = self._own = _Pattern(blocks, self._node_count)
         held = np.flatnonzero(self._fixed)
-        template[pattern.place(held, held)] = 1.0
-        self.template = wp.array(template, dtype=wp.float64, device=device)
-        self.entries = [self.places(nodes, pattern) for nodes in elements]
-        self.node_entries = self.places(np.arange(V)[:, None], pattern)
+        empty = np.zeros(len(own.keys))
+        empty[own.place(held, held)] = 1.0
+        self._empty = wp.array(empty, dtype=wp.float64, device=device)
+        self._values = wp.zeros_like(self._empty)
+        self.entries = [self._entries(nodes, own, self._values) for nodes in elements]
+        self.couple(np.zeros((0, 4), dtype=np.int32))
 
-    def pair_keys(self, nodes: np.ndarray) -> np.ndarray:
-        """Numbers of the blocks that elements couple; nodes of shape (n, k)."""
-        k = nodes.shape[1]
-        a, b = (nodes[:, one].ravel().astype(np.int64) for one in np.tril_indices(k, -1))
-        return np.unique(np.minimum(a, b) * self.node_count + np.maximum(a, b))
+    def _blocks(self, nodes: np.ndarray) -> np.ndarray:
+        """Numbers of the blocks that elements couple."""
+        a, b = (nodes[:, k].ravel().astype(np.int64) for k in np.tril_indices(nodes.shape[1]))
+        return np.unique(np.minimum(a, b) * self._node_count + np.maximum(a, b))
 
-    def places(self, nodes: np.ndarray, pattern: _Pattern) -> wp.array:
-        """Where entries of elements (n, k) go in a pattern, as ``entries``."""
+    def _entries(self, nodes: np.ndarray, pattern: _Pattern, values: wp.array) -> Entries:
+        """Where elements add, and to what."""
         size = 3 * nodes.shape[1]
         dof = (nodes[:, :, None] * 3 + np.arange(3)).reshape(len(nodes), size)
         rows, columns = np.repeat(dof, size, axis=1), np.tile(dof, (1, size))
         kept = (rows >= columns) & ~self._fixed[rows] & ~self._fixed[columns]
         place = np.full(rows.shape, -1, dtype=np.int32)
         place[kept] = pattern.place(rows[kept], columns[kept])
-        return wp.array(place, dtype=wp.int32, device=self.device)
-
-
-class Tangent:
-    """Tangent stiffness of one sheet, to whose values elements add; factored by CHOLMOD."""
-
-    def __init__(self, assembly: Assembly, elimination_order: np.ndarray, values: wp.array):
-        self._assembly = assembly
-        self._order = elimination_order
-        self._values = values
-        self.couple(np.zeros((0, 4), dtype=np.int32))
+        entries = Entries()
+        entries.place = wp.array(place, dtype=wp.int32, device=self._device)
+        entries.values = values
+        return entries
 
     def couple(self, contacts: np.ndarray) -> Entries:
         """Make room for contacts (N, 4) between far nodes, each of which couples four."""
-        assembly, pattern, order = self._assembly, self._assembly.pattern, self._order
+        pattern, order, count = self._own, self._order, self._node_count
         self._extended, self._moved = self._values, None
         if len(contacts):
-            count = assembly.node_count
-            blocks = np.union1d(pattern.blocks, assembly.pair_keys(contacts))
-            whole = _Pattern(blocks, count)
+            blocks = np.union1d(self._own.blocks, self._blocks(contacts))
+            pattern = _Pattern(blocks, count)
             columns, rows = map(cvxopt.matrix, np.divmod(blocks, count))
             lower = cvxopt.spmatrix(1.0, rows, columns, (count, count))
             order = np.array(cvxopt.amd.order(lower)).ravel()
-            self._moved = np.searchsorted(whole.keys, pattern.keys)
-            self._extended = wp.zeros(len(whole.keys), dtype=wp.float64, device=assembly.device)
-            pattern = whole
+            self._moved = np.searchsorted(pattern.keys, self._own.keys)
+            self._extended = wp.zeros(len(pattern.keys), dtype=wp.float64, device=self._device)
         self._matrix = pattern.matrix()
         order = (order[:, None] * 3 + np.arange(3)).ravel()
         self._permutation = cvxopt.matrix(order.astype(np.int64))
         self._factor = None
         self.factored = False
-        return entries_at(assembly.places(contacts, pattern), self._extended)
+        return self._entries(contacts, pattern, self._extended)
 
-    # -- assembly and solution ------------------------------------------------------------
+    def clear(self) -> None:
+        """Take away what was added."""
+        wp.copy(self._values, self._empty)
 
     def take_elements(self) -> None:
         """Take what the elements have added, to which contacts then add."""
