@@ -105,7 +105,7 @@ def _read_simulation(
             looks[view] |= {f"floor_{name}": floor[name] for name in ("reflectance", "roughness")}
             looks[view]["floor"] = floor["floor"]
             if marked := metadata.get("marked_points_m"):
-                points[view] = [marked[str(image.frame)] for image in images]
+                points[view] = [marked[str(image["frame"])] for image in images]
     return videos, looks, points
 
 
@@ -124,13 +124,13 @@ def _write_simulation(
         named |= {"texture": of_video["texture_id"], "viewpoint": of_video["viewpoint_id"]}
         pixels = []
         for position, image in enumerate(videos[video]):
-            where = f"{video} frame {image.frame}"
-            pixels.append(video_files.decode(image.png, where, config.render.pixels))
-            at = {"frame": image.frame, "time_s": image.time_s, "stage_x_m": image.stage_x_m}
-            png = {"bytes": image.png, "path": f"{video}_{image.frame:04d}.png"}
+            data, frame = image["image"]["bytes"], image["frame"]
+            pixels.append(video_files.decode(data, f"{video} frame {frame}", config.render.pixels))
+            at = {name: image[name] for name in ("frame", "time_s", "stage_x_m")}
+            png = {"bytes": data, "path": f"{video}_{frame:04d}.png"}
             images.append(named | at | {"position": position, "image": png})
         first.append(pixels[0])
-        sizes.append(len(videos[video][0].png))
+        sizes.append(len(videos[video][0]["image"]["bytes"]))
         digest = {"pixels_sha256": video_files.pixels_digest(np.stack(pixels))}
         rows.append(of_video | looks[of_video["viewpoint_id"]] | digest)
     path = out_dir / f"{simulation}.parquet"

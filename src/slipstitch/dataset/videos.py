@@ -30,16 +30,6 @@ from slipstitch.images.camera import KEYPOINTS_UV
 COLUMNS = ("simulation", "texture", "viewpoint", "frame", "time_s", "stage_x_m", "image")
 
 
-@dataclass(frozen=True)
-class Frame:
-    """One rendered image as it lies in a shard; `png` is undecoded."""
-
-    frame: int
-    time_s: float
-    stage_x_m: float
-    png: bytes
-
-
 def decode(png: bytes, where: str, pixels: int | None = None) -> np.ndarray:
     """An image file (`where`) as uint8 RGB, (pixels, pixels, 3); BadInput if it is none such."""
     check_image(png, where)
@@ -64,13 +54,13 @@ def simulations_of(path: str | os.PathLike) -> set[str]:
 
 
 def read_shard(path: str | os.PathLike, frames: np.ndarray) -> dict[tuple[str, str, str], list]:
-    """The wanted frames of every video in a shard: (simulation, texture, viewpoint) -> `Frame`s.
+    """The wanted frames of every video in a shard: (simulation, texture, viewpoint) -> rows.
 
     BadInput if the file is damaged, a wanted frame is missing or there twice, or an image is empty.
     """
     table = read_parquet(path, COLUMNS)
     wanted = frames.tolist()
-    videos: dict[tuple[str, str, str], dict[int, Frame]] = {}
+    videos: dict[tuple[str, str, str], dict[int, dict]] = {}
     for batch in table.to_batches(max_chunksize=1024):
         for row in batch.to_pylist():
             video = (row["simulation"], row["texture"], row["viewpoint"])
@@ -80,9 +70,9 @@ def read_shard(path: str | os.PathLike, frames: np.ndarray) -> dict[tuple[str, s
             where = f"{path}: {'_'.join(video)}"
             if number in kept:
                 raise BadInput(f"{where} has frame {number} twice")
-            if not (png := (row["image"] or {}).get("bytes")):
+            if not (row["image"] or {}).get("bytes"):
                 raise BadInput(f"{where} frame {number} has no image")
-            kept[number] = Frame(number, row["time_s"], row["stage_x_m"], png)
+            kept[number] = row
     for video, kept in videos.items():
         if missing := [number for number in wanted if number not in kept]:
             raise BadInput(

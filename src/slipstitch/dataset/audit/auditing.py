@@ -8,7 +8,7 @@ import tempfile
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -109,7 +109,7 @@ def _artefact(contents: Contents, artefact: records.Artefact, row: Mapping) -> l
         for name, value in artefact.metadata.items()
         if name not in ("settings", "camera")
     ]
-    if PurePosixPath(artefact.path).name == CALIBRATION:  # not the sweeps that it was chosen from
+    if artefact.path.endswith(CALIBRATION):  # not the sweeps that it was chosen from
         lines.append(f"  says     {_checks(contents, artefact)}")
     for name in contents.inputs(artefact.path, row.get("viewpoint_id")):
         link, behind = "NO RECORD", contents.artefacts.get(name)
@@ -291,11 +291,8 @@ def rebuild(contents: Contents, clip: str) -> Rebuilt:
         if key not in videos:
             raise BadInput(f"{clip}: not among the {len(videos)} videos rendered again")
         again, released = (
-            np.stack([decode(png, clip, row["pixels"]) for png in images])
-            for images in (
-                [frame.png for frame in videos[key]],
-                [image["bytes"] for image in table["image"].to_pylist()],
-            )
+            np.stack([decode(one["image"]["bytes"], clip, row["pixels"]) for one in images])
+            for images in (videos[key], table.to_pylist())
         )
         differing = [*_differing(of_view[0], shard)]
         for one in simulated:
