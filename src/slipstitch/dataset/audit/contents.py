@@ -17,11 +17,12 @@ import pyarrow.parquet as pq
 from slipstitch.base.errors import BadInput, first_line
 from slipstitch.base.provenance import file_digest, read_metadata
 from slipstitch.config import Config, load_config
+from slipstitch.config.load import calibrated_settings
 from slipstitch.dataset.audit import admission
 from slipstitch.dataset.audit.findings import Finding, Kind
 from slipstitch.dataset.release import records
 from slipstitch.dataset.release.checksums import SUMS, read_sums
-from slipstitch.dataset.release.currency import calibrated_by
+from slipstitch.dataset.release.currency import CALIBRATION
 from slipstitch.dataset.release.manifest import MANIFEST
 
 FRAMES_MAX = 1_000_000
@@ -77,10 +78,9 @@ class Contents:
         """Settings that the calibrations chose, by path; nothing of one that cannot be read."""
         settings: dict[str, dict[str, Any]] = {}
         for path in self.artefacts:
-            with contextlib.suppress(BadInput):
-                settings |= calibrated_by(
-                    [path], lambda name: self.folder / records.carried_file(name)
-                )
+            if path.endswith(CALIBRATION):
+                with contextlib.suppress(BadInput):
+                    settings[path] = calibrated_settings(self.folder / records.carried_file(path))
         return settings
 
     def as_listed(self, name: str) -> bool:

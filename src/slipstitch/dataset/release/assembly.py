@@ -19,6 +19,7 @@ from slipstitch.base.provenance import (
     write_json,
 )
 from slipstitch.config import Config
+from slipstitch.config.load import calibrated_settings
 from slipstitch.dataset.manifest import read_manifest
 from slipstitch.dataset.release import checksums, currency, manifest, records
 from slipstitch.dataset.release.description import CARD, card_of, facts_of
@@ -34,7 +35,8 @@ def check_current(
 
     Simulations are held against the settings that the calibration (below `root`) chose.
     """
-    calibrated = currency.calibrated_by(artefacts, lambda path: root / path)
+    chosen_by = [path for path in artefacts if path.endswith(currency.CALIBRATION)]
+    calibrated = {path: calibrated_settings(root / path) for path in chosen_by}
     for artefact in artefacts.values():
         if artefact.provenance is None:
             continue

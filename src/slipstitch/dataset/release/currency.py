@@ -2,8 +2,8 @@
 
 import os
 import shutil
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from pathlib import Path, PurePosixPath
+from collections.abc import Iterator, Mapping
+from pathlib import Path
 from typing import Any
 
 from slipstitch.base.errors import BadInput
@@ -13,7 +13,6 @@ from slipstitch.base.provenance import code_digest
 from slipstitch.base.provenance.code import RESULT_PACKAGES
 from slipstitch.config import Config, resolve_config
 from slipstitch.config.catalogue import catalogue_entries
-from slipstitch.config.load import calibrated_settings
 from slipstitch.dataset.release.records import Artefact
 from slipstitch.physics.fabric import fabric_digest
 
@@ -59,7 +58,7 @@ def copy_code(project: Path, release: Path) -> None:
 NOT_IN_A_SHARD = frozenset({"viewpoints", "test_viewpoints", "test_viewpoint_videos"})
 ONE_VIEW = "viewpoint"
 NO_INPUT = frozenset({"threads"})
-CALIBRATION = "calibration.json"
+CALIBRATION = "/calibration.json"
 _RESULT_PACKAGES = tuple(sorted(RESULT_PACKAGES.values()))
 
 
@@ -114,12 +113,6 @@ def config_changes(
             skip = NO_INPUT | (NOT_IN_A_SHARD if of_others else frozenset())
             changes += _differences(section, value, now[section], skip, gone=False)
     return changes
-
-
-def calibrated_by(artefacts: Iterable[str], place: Callable[[str], Path]) -> dict[str, dict]:
-    """The settings that calibrations among artefacts chose, by path; BadInput if one is damaged."""
-    paths = [path for path in artefacts if PurePosixPath(path).name == CALIBRATION]
-    return {path: calibrated_settings(place(path)) for path in paths}
 
 
 def recorded_entries(artefact: Artefact) -> dict[str, dict[str, Any]]:
