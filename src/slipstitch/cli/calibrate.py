@@ -177,8 +177,8 @@ def run(arguments: options.Arguments) -> None:
     from slipstitch.physics.convergence.cases import simulate_case
 
     config = options.configuration(arguments, calibration=arguments.calibration)
-    done, cpu_s = simulate_case(config, arguments.case, arguments.out, arguments.calibration)
-    print(f"{arguments.out}: {cpu_s:.1f} CPU s, {done.metadata['solver']}")
+    solver, cpu_s = simulate_case(config, arguments.case, arguments.out, arguments.calibration)
+    print(f"{arguments.out}: {cpu_s:.1f} CPU s, {solver}")
 
 
 @options.verb(

@@ -106,8 +106,11 @@ class ElasticTables:
 
     @classmethod
     def of_fabric(cls, fabric: Fabric) -> "ElasticTables":
-        """Sample the law of a fabric."""
-        stretching_N_m = sample_stretching(fabric.stretching_N_m)
+        """Sample the law of a fabric, on the nodes that the original samples it on."""
+        normal = NORMAL_STRAIN_MIN + STRAIN_SPACING * np.arange(STRAIN_NODES)
+        shear = STRAIN_SPACING * np.arange(STRAIN_NODES)
+        strains = np.ix_(normal, normal, shear)
+        stretching_N_m = stretching_stiffness(fabric.stretching_N_m, *strains)
         return cls(fabric.areal_density_kg_m2, stretching_N_m, np.maximum(fabric.bending_N_m, 0.0))
 
 
@@ -126,15 +129,6 @@ def stretching_stiffness(rows: np.ndarray, G00, G11, G01) -> np.ndarray:
     fraction = (position - low)[..., None]
     directional = (1 - fraction) * rows[1 + low] + fraction * rows[2 + low]
     return 2.0 * np.maximum((1 - weight) * rows[0] + weight * directional, 0.0)
-
-
-def sample_stretching(rows: np.ndarray) -> np.ndarray:
-    """Sample the law on the nodes that the original samples it on, shape (30, 30, 30, 4)."""
-    normal = NORMAL_STRAIN_MIN + STRAIN_SPACING * np.arange(STRAIN_NODES)
-    shear = STRAIN_SPACING * np.arange(STRAIN_NODES)
-    return stretching_stiffness(
-        rows, normal[:, None, None], normal[None, :, None], shear[None, None, :]
-    )
 
 
 def isotropic_tables(
