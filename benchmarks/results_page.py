@@ -70,18 +70,19 @@ def table(head, rows):
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
 
 
-def share_with_interval(share, number):
-    """Return a share in % with Wilson's 90 % interval over independent videos."""
-    found = binomtest(round(share * number), number).proportion_ci(0.9, "wilson")
-    return f"{100 * share:.0f} ({100 * found.low:.0f} ... {100 * found.high:.0f})"
-
-
-def percent(found, metric):
+def percent(found, metric, digits=1):
     """Return a mean score in %, with its spread over seeds where there are several."""
     if metric not in found.get("mean", {}):
         return "–"
-    spread = f" ± {100 * found['spread'][metric]:.1f}" if found.get("spread") else ""
-    return f"{100 * found['mean'][metric]:.1f}{spread}"
+    spread = f" ± {100 * found['spread'][metric]:.{digits}f}" if found.get("spread") else ""
+    return f"{100 * found['mean'][metric]:.{digits}f}{spread}"
+
+
+def share_with_interval(found, metric):
+    """Return `percent` with Wilson's 90 % interval over independent videos."""
+    number = found["n"]
+    share = binomtest(round(found["mean"][metric] * number), number).proportion_ci(0.9, "wilson")
+    return f"{percent(found, metric, 0)} ({100 * share.low:.0f}–{100 * share.high:.0f})"
 
 
 def paper_table_2():
@@ -128,8 +129,7 @@ def paper_unseen():
     for words, split, view, number, shares, shipped in tests:
         found = details.detail(split, network, view)
         ours = [
-            share_with_interval(found["mean"][metric], found["n"]) if found else "not trained"
-            for metric in metrics
+            share_with_interval(found, metric) if found else "not trained" for metric in metrics
         ]
         theirs = [f"{100 * share:.1f}" for share in shares]
         rows.append([words, number, *theirs, found.get("n", "–"), *ours, f"{100 * shipped:.0f}"])
@@ -557,13 +557,13 @@ def simulated_campaigns():
 SECTIONS = {
     "The paper's networks": (
         "160 simulations; 3072 training videos of 32 pixels; a quarter of the paper's width (full "
-        "width takes a GPU: not trained). One seed, with ±: two. "
+        "width takes a GPU: not trained). ±: two seeds. "
         "Three views: before fine-tuning; calibrated view: after.",
         paper_table_2,
     ),
     "Unseen textures and turned cameras": (
-        "In brackets: Wilson's 90 % interval. < 0.1 is the right class; ≤ 0.1 compares with < 0.2. "
-        "The instrument where turned: its own simulations.",
+        "±: two seeds; in brackets: Wilson's 90 % interval. < 0.1: the right class; ≤ 0.1 compares "
+        "with < 0.2. Turned, the instrument sees its own simulations.",
         paper_unseen,
     ),
     "Surrogate captures": (
@@ -573,7 +573,7 @@ SECTIONS = {
     ),
     "Where coefficients and fabrics are hard": (
         "![True against predicted fabrics and coefficients](pictures/confusions.svg)\n\n"
-        "Videos at random; μ: one seed, fabric: two. Up to 0.3 the cloth is pushed and keeps one "
+        "Videos at random, two seeds. Up to 0.3 the cloth is pushed and keeps one "
         "shape, in which the fabrics differ least: keypoints' distance to the nearest fabric.",
         paper_coefficients,
     ),
