@@ -26,7 +26,6 @@ def start_warp() -> None:
     import warp
 
     warp.config.log_level = warp.LOG_WARNING
-    warp.config.enable_backward = False  # nothing is differentiated: half of the code to compile
     try:
         ctypes.CDLL("libcuda.so.1")
     except OSError:

@@ -13,6 +13,8 @@ from slipstitch.physics.cloth.mesh import ClothMesh
 from slipstitch.physics.cloth.tangent import Entries, add_entry
 from slipstitch.physics.fabric import CURVATURE_SPACING_PER_M, FOLD_CURVATURES, ElasticTables
 
+wp.set_module_options({"enable_backward": False})
+
 mat43d = wp.types.matrix(shape=(4, 3), dtype=wp.float64)
 PER_CURVATURE = wp.constant(wp.float64(1.0 / CURVATURE_SPACING_PER_M))
 ZERO = wp.constant(wp.float64(0.0))

@@ -29,6 +29,8 @@ from slipstitch.physics.cloth.tangent import Entries, add_entry
 from slipstitch.physics.friction_law import FrictionLaw
 from slipstitch.physics.friction_law.mechanisms import REFERENCE_HUMIDITY_PCT
 
+wp.set_module_options({"enable_backward": False})
+
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
 

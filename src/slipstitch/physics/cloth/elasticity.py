@@ -14,6 +14,8 @@ from slipstitch.physics.cloth.mesh import ClothMesh
 from slipstitch.physics.cloth.tangent import Entries, add_entry
 from slipstitch.physics.fabric import NORMAL_STRAIN_MIN, STRAIN_NODES, STRAIN_SPACING, ElasticTables
 
+wp.set_module_options({"enable_backward": False})
+
 ORIGIN = wp.constant(wp.float64(NORMAL_STRAIN_MIN))
 PER_SPACING = wp.constant(wp.float64(1.0 / STRAIN_SPACING))
 LAST_NODE = wp.constant(wp.float64(STRAIN_NODES - 1))

@@ -17,6 +17,8 @@ import warp as wp
 from slipstitch.physics.friction_law import CONTACT_MECHANISMS, mechanisms
 from slipstitch.physics.friction_law.law import CURVE_QUANTITIES, MOST_KNOTS
 
+wp.set_module_options({"enable_backward": False})
+
 # Places of the parameters among the law's values; the curve's begin after the last one.
 _NAMES = [one.name for each in CONTACT_MECHANISMS.values() for one in each.parameters]
 LOAD_POWER, ADHESION, STATIC_KINETIC, AGEING, RATE, ANISOTROPY, NAP, WEAR, WEAR_R0, HUMIDITY = (

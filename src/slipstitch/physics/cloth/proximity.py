@@ -15,6 +15,8 @@ import warp as wp
 
 from slipstitch.base.errors import NotConverged
 
+wp.set_module_options({"enable_backward": False})
+
 VERTEX_TRIANGLE = wp.constant(0)
 EDGE_EDGE = wp.constant(1)
 
@@ -23,7 +25,7 @@ ONE = wp.constant(wp.float64(1.0))
 TINY = wp.constant(wp.float64(1e-30))
 KEPT = wp.constant(wp.float64(0.1))  # part of the distance that advancement keeps
 ADVANCES_MAX = wp.constant(200)
-PAIRS_MAX = 2_000_000  # nearer than asked for: more is an error
+PAIRS_MAX = 1_000_000  # nearer than asked for: more, 3 GB in the tangent, is an error
 Corners = wp.types.matrix(shape=(4, 3), dtype=wp.float64)  # rows: the four nodes of a pair
 
 

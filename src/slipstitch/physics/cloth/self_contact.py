@@ -19,6 +19,8 @@ from slipstitch.physics.cloth.mesh import ClothMesh
 from slipstitch.physics.cloth.proximity import Corners, NearPairs, corners_of
 from slipstitch.physics.cloth.tangent import Entries, add_entry
 
+wp.set_module_options({"enable_backward": False})
+
 ZERO = wp.constant(wp.float64(0.0))
 ONE = wp.constant(wp.float64(1.0))
 # Squared sine of the angle between edges under which their force fades (about 1.8 degrees).

@@ -473,7 +473,7 @@ class ClothSolver:
         ``prescribed`` gives positions (V, 3) at a time, of which the fixed coordinates are read.
         """
         may_refine = halvings < REFINEMENTS_MAX
-        outcome = Outcome.INACCURATE
+        outcome = Outcome.INACCURATE  # as the last step of this length was
         if duration_s <= 1.01 * self._accurate_step_s or not may_refine:
             outcome = self._attempt(duration_s, prescribed, may_refine)
         if outcome is Outcome.ACCEPTED:

@@ -88,13 +88,15 @@ class Tangent:
 
     def _entries(self, nodes: np.ndarray, pattern: _Pattern, values: wp.array) -> Entries:
         """Where elements add, and to what."""
-        size = 3 * nodes.shape[1]
-        dof = (nodes[:, :, None] * 3 + np.arange(3)).reshape(len(nodes), size)
-        rows, columns = np.repeat(dof, size, axis=1), np.tile(dof, (1, size))
-        kept = (rows >= columns) & ~self._fixed[rows] & ~self._fixed[columns]
+        of_node = 3 * nodes[:, :, None].astype(np.int32) + np.arange(3, dtype=np.int32)
+        own = of_node.reshape(len(nodes), 3 * nodes.shape[1])
+        rows, columns = np.broadcast_arrays(own[:, :, None], own[:, None])
+        free = ~self._fixed[own]
+        kept = (rows >= columns) & free[:, :, None] & free[:, None]
         place = np.full(rows.shape, -1, dtype=np.int32)
         place[kept] = pattern.place(rows[kept], columns[kept])
         entries = Entries()
+        place = place.reshape(len(nodes), own.shape[1] ** 2)
         entries.place = wp.array(place, dtype=wp.int32, device=self._device)
         entries.values = values
         return entries
