@@ -56,6 +56,8 @@ def simulations_of(path: str | os.PathLike) -> set[str]:
 def read_shard(path: str | os.PathLike, frames: np.ndarray) -> dict[tuple[str, str, str], list]:
     """The wanted frames of every video in a shard: (simulation, texture, viewpoint) -> rows.
 
+    A row has the `COLUMNS`, the image undecoded.
+
     BadInput if the file is damaged, a wanted frame is missing or there twice, or an image is empty.
     """
     table = read_parquet(path, COLUMNS)
@@ -158,7 +160,7 @@ class Videos:
         """With fewer frames, at regular intervals from the first, and images of another side."""
         stored = self.pixels.shape[1]
         kept = sampled_frames(stored, frames or stored)
-        seen = np.stack([resized(video, pixels) for video in self.pixels[:, kept]])
+        seen = resized(self.pixels[:, kept], pixels)
         points_m = None if self.points_m is None else self.points_m[:, kept]
         return Videos(self.rows, seen, self.digest, points_m)
 
@@ -211,14 +213,16 @@ def read_videos(
     return Videos(rows, array, digest, None if np.isnan(points_m).any() else points_m)
 
 
-def resized(video: np.ndarray, side: int) -> np.ndarray:
-    """Frames (frames, any, any, 3) averaged down (or blown up) to a side."""
-    if side == video.shape[1]:
-        return video
-    filtered = Image.Resampling.BOX if side < video.shape[1] else Image.Resampling.BICUBIC
-    return np.stack(
-        [np.asarray(Image.fromarray(frame).resize((side, side), filtered)) for frame in video]
-    )
+def resized(frames: np.ndarray, side: int) -> np.ndarray:
+    """Square frames (..., any, any, 3) averaged down (or blown up) to a side."""
+    *leading, before = frames.shape[:-2]
+    if side == before:
+        return frames
+    result = np.empty((*leading, side, side, 3), np.uint8)
+    filtered = Image.Resampling.BOX if side < before else Image.Resampling.BICUBIC
+    for place in np.ndindex(*leading):
+        result[place] = Image.fromarray(frames[place]).resize((side, side), filtered)
+    return result
 
 
 def takes_part(row: Mapping[str, Any], trained_on: str = "") -> bool:

@@ -28,7 +28,7 @@ from slipstitch.dataset.audit.findings import NO_FORGER, Audit, Kind, sorted_fin
 from slipstitch.dataset.audit.lineage_check import check_commits, check_lineage, check_staleness
 from slipstitch.dataset.release import records
 from slipstitch.dataset.release.checksums import SIGNATURE, SUMS, verify
-from slipstitch.dataset.release.currency import CALIBRATION, current_digest
+from slipstitch.dataset.release.currency import current_digest
 from slipstitch.dataset.release.manifest import PREFIX
 from slipstitch.dataset.videos import decode, read_shard
 
@@ -109,7 +109,7 @@ def _artefact(contents: Contents, artefact: records.Artefact, row: Mapping) -> l
         for name, value in artefact.metadata.items()
         if name not in ("settings", "camera")
     ]
-    if artefact.path.endswith(CALIBRATION):  # not the sweeps that it was chosen from
+    if records.is_calibration(artefact.path):  # not the sweeps that it was chosen from
         lines.append(f"  says     {_checks(contents, artefact)}")
     for name in contents.inputs(artefact.path, row.get("viewpoint_id")):
         link, behind = "NO RECORD", contents.artefacts.get(name)

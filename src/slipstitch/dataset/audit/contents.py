@@ -20,10 +20,9 @@ from slipstitch.config import Config, load_config
 from slipstitch.config.load import calibrated_settings
 from slipstitch.dataset.audit import admission
 from slipstitch.dataset.audit.findings import Finding, Kind
+from slipstitch.dataset.manifest import MANIFEST
 from slipstitch.dataset.release import records
 from slipstitch.dataset.release.checksums import SUMS, read_sums
-from slipstitch.dataset.release.currency import CALIBRATION
-from slipstitch.dataset.release.manifest import MANIFEST
 
 FRAMES_MAX = 1_000_000
 _TEXTS = ("video", "simulation", "material", "pixels_sha256", "sampled_file", "shard", "part")
@@ -78,7 +77,7 @@ class Contents:
         """Settings that the calibrations chose, by path; nothing of one that cannot be read."""
         settings: dict[str, dict[str, Any]] = {}
         for path in self.artefacts:
-            if path.endswith(CALIBRATION):
+            if records.is_calibration(path):
                 with contextlib.suppress(BadInput):
                     settings[path] = calibrated_settings(self.folder / records.carried_file(path))
         return settings

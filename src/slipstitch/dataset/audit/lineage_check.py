@@ -26,9 +26,9 @@ from slipstitch.config.catalogue import FABRICS_FILE
 from slipstitch.dataset.audit.contents import Contents
 from slipstitch.dataset.audit.files import Shard
 from slipstitch.dataset.audit.findings import Kind
-from slipstitch.dataset.manifest import dataset_digest, video_labels
+from slipstitch.dataset.manifest import MANIFEST, dataset_digest, video_labels
 from slipstitch.dataset.release import currency, records
-from slipstitch.dataset.release.manifest import MANIFEST, PREFIX, parts, sampled_rows, split_columns
+from slipstitch.dataset.release.manifest import PREFIX, parts, sampled_rows, split_columns
 from slipstitch.design.grid import sampled_frames
 from slipstitch.design.stage_path import StagePath
 from slipstitch.physics.fabric import fabric_digest

@@ -20,7 +20,7 @@ from slipstitch.base.provenance import (
 )
 from slipstitch.config import Config
 from slipstitch.config.load import calibrated_settings
-from slipstitch.dataset.manifest import read_manifest
+from slipstitch.dataset.manifest import MANIFEST, read_manifest
 from slipstitch.dataset.release import checksums, currency, manifest, records
 from slipstitch.dataset.release.description import CARD, card_of, facts_of
 from slipstitch.dataset.release.shards import write_previews, write_shards
@@ -35,7 +35,7 @@ def check_current(
 
     Simulations are held against the settings that the calibration (below `root`) chose.
     """
-    chosen_by = [path for path in artefacts if path.endswith(currency.CALIBRATION)]
+    chosen_by = [path for path in artefacts if records.is_calibration(path)]
     calibrated = {path: calibrated_settings(root / path) for path in chosen_by}
     for artefact in artefacts.values():
         if artefact.provenance is None:
@@ -161,7 +161,7 @@ def _fill(
         started=started,
     )
     # As the other records call it, whatever the working folder.
-    record["inputs"] = {records.SAMPLED_MANIFEST: file_digest(sample / manifest.MANIFEST)}
+    record["inputs"] = {records.SAMPLED_MANIFEST: file_digest(sample / MANIFEST)}
     (folder / records.CRATE).write_text(
         crate_text(folder, facts, artefacts, record), encoding="utf-8"
     )

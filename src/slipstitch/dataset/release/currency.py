@@ -58,7 +58,6 @@ def copy_code(project: Path, release: Path) -> None:
 NOT_IN_A_SHARD = frozenset({"viewpoints", "test_viewpoints", "test_viewpoint_videos"})
 ONE_VIEW = "viewpoint"
 NO_INPUT = frozenset({"threads"})
-CALIBRATION = "/calibration.json"
 _RESULT_PACKAGES = tuple(sorted(RESULT_PACKAGES.values()))
 
 

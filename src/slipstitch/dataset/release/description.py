@@ -12,12 +12,12 @@ from slipstitch.base.provenance import read_json, read_yaml
 from slipstitch.config import Config
 from slipstitch.config.catalogue import FLOORS
 from slipstitch.dataset.release import manifest
-from slipstitch.dataset.release.currency import CALIBRATION
 from slipstitch.dataset.release.manifest import PREFIX, SAMPLED
 from slipstitch.dataset.release.records import (
     VERIFICATION,
     Artefact,
     carried_file,
+    is_calibration,
     is_carried,
     recorded_name,
 )
@@ -171,7 +171,7 @@ def _calibration(folder: Path, artefacts: Mapping[str, Artefact]) -> list[dict[s
     """The largest error of each kind of check, beside what is allowed."""
     worst: dict[str, dict[str, Any]] = {}
     for path, artefact in sorted(artefacts.items()):
-        if path.endswith(CALIBRATION) and is_carried(artefact):
+        if is_calibration(path) and is_carried(artefact):
             for check in read_json(folder / carried_file(path))["checks"]:
                 unit = "(relative)" if check["relative"] else check["unit"]
                 kept = worst.get(check["name"])

@@ -22,9 +22,10 @@ from rocrate.rocrate import ROCrate
 
 from slipstitch.base.errors import SlipstitchError
 from slipstitch.base.provenance import file_digest
+from slipstitch.dataset.manifest import MANIFEST
 from slipstitch.dataset.release.checksums import files_below
 from slipstitch.dataset.release.currency import CODE, SNAKEFILE
-from slipstitch.dataset.release.manifest import MANIFEST, described
+from slipstitch.dataset.release.manifest import described
 from slipstitch.dataset.release.records import CRATE, RELEASE_RECORD, Artefact, record_file
 from slipstitch.dataset.release.shards import FOLDER
 

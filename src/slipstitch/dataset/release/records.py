@@ -159,6 +159,11 @@ def is_carried(artefact: Artefact) -> bool:
     return not is_ours(path) or path.startswith(_SIMULATE) or path.endswith((".json", ".yaml"))
 
 
+def is_calibration(path: str) -> bool:
+    """Whether an artefact is a calibration, whose settings simulations were made with."""
+    return path.rpartition("/")[2] == "calibration.json"
+
+
 def write_record(artefact: Artefact, folder: Path) -> None:
     """Write the record into a release."""
     target = folder / record_file(artefact.path)
