@@ -20,7 +20,7 @@ _SHUFFLE = {4: np.array([1, 3, 0, 2]), 8: np.array([1, 4, 7, 2, 5, 0, 3, 6])}
 
 
 def warp_array(values: np.ndarray, dtype) -> wp.array:
-    """The same numbers for Warp; the same memory, where the types agree."""
+    """The same numbers for Warp; the same memory, where types agree and rows follow each other."""
     return wp.array(values, dtype=dtype, device="cpu", copy=False)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -87,7 +88,7 @@ class Judge:
     inflation: dict[str, float]
     bases: dict[bytes, Refit] = field(default_factory=dict)
 
-    @property
+    @cached_property
     def sensitivity(self) -> np.ndarray:
         """(n,) d(feature)/d(ln mu) of the null."""
         return self.null.sensitivity()

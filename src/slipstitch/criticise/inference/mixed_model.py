@@ -141,14 +141,14 @@ class Clusters:
         count = len(group.u)
         # Runs in the order of their specimens, so that specimens are stretches of runs.
         _, first, run = np.unique(group.run, return_index=True, return_inverse=True)
-        by_specimen = np.argsort(group.specimen[first], kind="stable")
-        self._run = np.argsort(by_specimen)[run]
+        order = np.argsort(group.specimen[first], kind="stable")
+        self._run = np.argsort(order)[run]
         self._order = np.argsort(self._run, kind="stable")
         self._runs = np.flatnonzero(np.diff(self._run[self._order], prepend=-1))
         _, self._specimens, self._specimen = np.unique(
-            group.specimen[first][by_specimen], return_index=True, return_inverse=True
+            group.specimen[first][order], return_index=True, return_inverse=True
         )
-        self._astray = group.astray[first][by_specimen]
+        self._astray = group.astray[first][order]
         inverse = 1.0 / group.u**2
         self._inverse, self._pull = inverse[:, None], (group.sensitivity * inverse)[:, None]
         self.columns = columns
