@@ -118,8 +118,12 @@ def main():
     # One simulation of every fabric, along diagonals of fabrics and coefficients.
     number, place = (np.unique(one, return_inverse=True)[1] for one in (material, friction))
     diagonal = (number + place) % (place.max() + 1)
-    result = {"simulations": int(use.sum()), "fabrics": len(set(material)), "noise_mm": {}}
-    result["nearest_fabric_mm"] = nearest_mm
+    result = {
+        "simulations": int(use.sum()),
+        "fabrics": len(set(material)),
+        "noise_mm": {},
+        "nearest_fabric_mm": nearest_mm,
+    }
     for noise_m in NOISES_M:
         noise = np.random.default_rng(0).normal(0.0, noise_m, keypoints.shape)
         cases = {"fabric known": (told[:, :0], diagonal)}
