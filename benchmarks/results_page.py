@@ -86,6 +86,17 @@ def share_with_interval(found, metric):
     return f"{percent(found, metric, 0)} ({100 * (centre - half):.0f}–{100 * (centre + half):.0f})"
 
 
+def seeds():
+    """Return with how many seeds the paper's networks are trained, in words."""
+    details = Scores({}, read("paper/details.json"))
+    counts = {
+        len(details.detail(split, network)["seeds"])
+        for split in ("by_video", "by_simulation")
+        for network in NETWORKS
+    }
+    return " to ".join(map(str, sorted({min(counts), max(counts)})))
+
+
 def paper_table_2():
     """Return Table 2 of the paper beside ours."""
     details = Scores({}, read("paper/details.json"))
@@ -558,13 +569,13 @@ def simulated_campaigns():
 SECTIONS = {
     "The paper's networks": (
         "160 simulations; 3072 training videos of 32 pixels; a quarter of the paper's width (full "
-        "width takes a GPU: not trained). ±: two seeds. "
+        "width takes a GPU: not trained). ±: {seeds} seeds. "
         "Three views: before fine-tuning; calibrated view: after.",
         paper_table_2,
     ),
     "Unseen textures and turned cameras": (
-        "±: two seeds; in brackets: Wilson's 90 % interval. < 0.1: the right class; ≤ 0.1 compares "
-        "with < 0.2. Turned, the instrument sees its own simulations.",
+        "±: {seeds} seeds; in brackets: Wilson's 90 % interval. < 0.1: the right class; ≤ 0.1 "
+        "compares with < 0.2. Turned, the instrument sees its own simulations.",
         paper_unseen,
     ),
     "Surrogate captures": (
@@ -574,7 +585,7 @@ SECTIONS = {
     ),
     "Where coefficients and fabrics are hard": (
         "![True against predicted fabrics and coefficients](pictures/confusions.svg)\n\n"
-        "Videos at random, two seeds. Up to 0.2 the cloth is pushed and keeps one "
+        "Videos at random, {seeds} seeds. Up to 0.2 the cloth is pushed and keeps one "
         "shape, in which fabrics differ least: median distance of keypoints to the nearest one.",
         paper_coefficients,
     ),
@@ -632,6 +643,7 @@ def results_page():
     text = "# Results\n\nMeasured numbers, from the files in `results/published`. "
     text += "Written by `make results`; each file's record says how.\n"
     for title, (words, make) in SECTIONS.items():
+        words = words.replace("{seeds}", seeds())
         text += f"\n## {title}\n\n" + (f"{words}\n\n" if words else "") + f"{make()}\n"
     return text
 
