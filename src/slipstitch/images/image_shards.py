@@ -71,12 +71,12 @@ def render_shard(
     # A group holds some tens of images, whole frames of them.
     size = -(-_GROUP // len(view.textures)) * len(view.textures)
     rows = (_row(view, trajectory, *one) for one in composed_images(view, pack, trajectory))
-    with provenance.parquet_stream(out, SCHEMA, compression=how) as writer:
-        while group := list(islice(rows, size)):
-            writer.write_table(pa.Table.from_pylist(group, schema=SCHEMA))
-        files += [] if pack_path is None else [Path(pack_path)]
-        said = _description(view, pack, trajectory, files, started)
-        writer.add_key_value_metadata(provenance.described(*said))
+    groups = iter(lambda: list(islice(rows, size)), [])
+    files += [] if pack_path is None else [Path(pack_path)]
+    provenance.write_row_groups(
+        out, SCHEMA, groups,
+        lambda: _description(view, pack, trajectory, files, started), compression=how,
+    )  # fmt: skip
     return {
         "frames": len(pack.shots),
         "images": len(pack.shots) * len(view.textures),

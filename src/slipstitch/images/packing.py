@@ -101,12 +101,14 @@ def write_pack(view: View, out: str | os.PathLike, progress=iter) -> Pack:
     """Render the light of a view into a file, atomically."""
     started = provenance.start_clock()
     pack = shade(view, view.trajectory(), progress)
-    with provenance.parquet_stream(out, _SCHEMA) as writer:
-        for shot, packed in zip(pack.shots, pack.shadings, strict=True):
-            rows = [{"frame": shot.frame, **packed}]
-            writer.write_table(pa.Table.from_pylist(rows, schema=_SCHEMA))
-        record = view.record("render.packing", started, _UNUSED)
-        writer.add_key_value_metadata(provenance.described(pack.metadata, record))
+    groups = (
+        [{"frame": shot.frame, **packed}]
+        for shot, packed in zip(pack.shots, pack.shadings, strict=True)
+    )
+    provenance.write_row_groups(
+        out, _SCHEMA, groups,
+        lambda: (pack.metadata, view.record("render.packing", started, _UNUSED)),
+    )  # fmt: skip
     return pack
 
 

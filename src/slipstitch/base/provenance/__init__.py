@@ -17,9 +17,7 @@ from slipstitch.base.provenance.files import (
 from slipstitch.base.provenance.record import (
     attach_metadata,
     count_earlier_attempts,
-    described,
     earlier_attempts,
-    parquet_stream,
     provenance_record,
     read_metadata,
     read_provenance,
@@ -28,6 +26,7 @@ from slipstitch.base.provenance.record import (
     start_clock,
     write_json,
     write_parquet,
+    write_row_groups,
     write_sidecar,
     write_text,
 )

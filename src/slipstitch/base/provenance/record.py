@@ -10,7 +10,7 @@ import re
 import resource
 import subprocess
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -199,10 +199,10 @@ def attach_metadata(table, metadata: Mapping[str, Any], record: Mapping[str, Any
     keys = dict(schema.metadata or {})
     whole = json.loads(keys.get(METADATA_KEY, b"{}")) | _plain(metadata)
     replace = getattr(table, "replace_schema_metadata", None) or table.with_metadata
-    return replace(keys | described(whole, record))
+    return replace(keys | _described(whole, record))
 
 
-def described(metadata: Mapping[str, Any], record: Mapping[str, Any] | None) -> dict[bytes, bytes]:
+def _described(metadata: Mapping[str, Any], record: Mapping[str, Any] | None) -> dict[bytes, bytes]:
     """What a schema says in metadata: the JSON object, and its SHA-256."""
     whole = {**_plain(metadata), **({} if record is None else {"provenance": _plain(record)})}
     text = json.dumps(whole, allow_nan=False).encode()
@@ -227,12 +227,17 @@ def write_parquet(
         pyarrow.parquet.write_table(whole, stream, **{**WRITE_OPTIONS, **options})
 
 
-@contextlib.contextmanager
-def parquet_stream(path: str | os.PathLike, schema, **options: Any) -> Iterator[Any]:
-    """A ``ParquetWriter`` of a file that is written atomically: memory does not grow with it.
+def write_row_groups(
+    path: str | os.PathLike,
+    schema,
+    groups: Iterable[list[dict[str, Any]]],
+    describe: Callable[[], tuple[Mapping[str, Any], Mapping[str, Any]]],
+    **options: Any,
+) -> None:
+    """Write rows atomically, a row group at a time: memory does not grow with the file.
 
-    `schema` must hold types that Parquet itself knows; `options` go to ``ParquetWriter``. After the
-    last rows `described` says for ``add_key_value_metadata`` what the file holds and what made it.
+    `schema` must hold types that Parquet itself knows. `describe` is called after the last rows,
+    and returns what `write_parquet` calls metadata and record; `options` go to ``ParquetWriter``.
     """
     import pyarrow.parquet
 
@@ -243,7 +248,9 @@ def parquet_stream(path: str | os.PathLike, schema, **options: Any) -> Iterator[
         open(temporary, "wb") as stream,
         pyarrow.parquet.ParquetWriter(stream, schema, **options) as writer,
     ):
-        yield writer
+        for rows in groups:
+            writer.write_table(pyarrow.Table.from_pylist(rows, schema=schema))
+        writer.add_key_value_metadata(_described(*describe()))
 
 
 def read_metadata(source) -> dict[str, Any]:
