@@ -20,7 +20,7 @@ from slipstitch.config.train import TrainSettings
 from slipstitch.dataset.videos import read_videos
 from slipstitch.learning import lrcn_training
 from slipstitch.learning.checkpoint import CHECKPOINT
-from slipstitch.learning.lrcn import load_model
+from slipstitch.learning.lrcn import LRCN, WEIGHTS, load_model
 from slipstitch.learning.lrcn_training import learning_rate, progressive_schedule, train_network
 from slipstitch.learning.trainer import DivergedError, Phase, PlateauError, Run, place
 
@@ -263,6 +263,41 @@ def test_a_network_that_learns_nothing_fails_and_writes_no_model(
     with pytest.raises(error, match=words):
         train(dataset, tmp_path, changes=changes)
     assert not (tmp_path / "model.safetensors").exists()
+
+
+def test_a_network_that_falls_silent_in_the_first_cycle_is_drawn_anew(
+    dataset, tmp_path, monkeypatch, capsys
+):
+    """Also by a training that is killed after that and resumed: to the same bits."""
+    draw, drawn = LRCN.initialise, []
+
+    def silent_first(network):
+        draw(network)
+        drawn.append(network)
+        if len(drawn) == 1:
+            with torch.no_grad():  # none of these rectifiers ever passes anything on
+                network.fully_connected[0].bias.fill_(-1e6)
+
+    def kill_second_draw(progress):
+        if progress.draws == 2:
+            kill(progress)
+
+    monkeypatch.setattr(LRCN, "initialise", silent_first)
+    card = train(dataset, tmp_path / "whole", changes=FEW)
+    assert "silent after cycle 1: weights are drawn anew" in capsys.readouterr().err
+    assert card["draws"] == len(drawn) == 2
+    with open(tmp_path / "whole/history.csv") as stream:
+        epochs = [int(row["epoch"]) for row in csv.DictReader(stream)]
+    assert epochs == list(range(1, card["epochs"] + 1))
+
+    drawn.clear()
+    with pytest.raises(KeyboardInterrupt):
+        train(dataset, tmp_path / "killed", changes=FEW, after_step=kill_second_draw)
+    capsys.readouterr()
+    assert train(dataset, tmp_path / "killed", changes=FEW)["draws"] == 2
+    assert "epoch 1, step 3" in capsys.readouterr().err
+    whole, killed = (tmp_path / name / WEIGHTS for name in ("whole", "killed"))
+    assert whole.read_bytes() == killed.read_bytes()
 
 
 def leak(rows):

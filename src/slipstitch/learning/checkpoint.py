@@ -24,6 +24,7 @@ CHECKPOINT = "checkpoint.safetensors"
 class Progress:
     """Progress of a training: finished epochs, steps of the current one and its sums."""
 
+    draws: int = 1  # of the initial weights
     epoch: int = 0
     step: int = 0
     # losses and other columns of the history, summed over the current epoch's videos so far

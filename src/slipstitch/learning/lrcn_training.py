@@ -4,6 +4,7 @@ Cycles of the training add a viewpoint each; the calibrated viewpoint alone is f
 """
 
 import math
+import sys
 from collections.abc import Sequence
 from itertools import compress
 from pathlib import Path
@@ -38,6 +39,9 @@ FINE_TUNING, UNTIL_FLAT = "fine-tuning", "until flat"
 # Share of the learning rate to which it falls in the last cycle, and at which fine-tuning goes on.
 ANNEALED_SHARE = 0.05
 CYCLES_MAX = 8  # of epochs until the validation loss is flat
+# Of the initial weights: the first steps at Adadelta's rate of 1 may silence every rectifier of the
+# connected layers, which then learn nothing more.
+DRAWS_MAX = 3
 
 
 def progressive_schedule(
@@ -115,6 +119,31 @@ class LrcnTrainer(Trainer):
         done = (epoch + step * self.settings.batch_size / videos) / phase.epochs
         return learning_rate(self.settings, self.phases, phase, done)
 
+    def begins_anew(self, phase: Phase) -> bool:
+        """Draw the weights anew if the connected layers are silent after the first cycle."""
+        if phase is not self.phases[0] or self.progress.draws == DRAWS_MAX or not self._silent():
+            return False
+        what = f"the rectifiers are silent after {phase.name}: weights are drawn anew"
+        print(f"{self.name}: {what}", file=sys.stderr)
+        for module in self.network.modules():
+            if reset := getattr(module, "reset_parameters", None):
+                reset()
+        self.network.initialise()
+        self.optimizer.state.clear()
+        return True
+
+    def _silent(self) -> bool:
+        """Whether under a hundredth of the rectifiers between the connected layers passes on."""
+        passing: list[float] = []
+
+        def note(rectifier: nn.Module, inputs: tuple[Tensor], outputs: Tensor) -> None:
+            passing.append(float((outputs > 0).float().mean()))
+
+        hook = self.network.fully_connected[1].register_forward_hook(note)
+        self._probabilities(self.videos_of(self.phases[0])[0][:64])
+        hook.remove()
+        return float(np.mean(passing)) < 0.01
+
     def batch_loss(
         self, batch: np.ndarray, generator: np.random.Generator
     ) -> tuple[Tensor, dict[str, float]]:
@@ -129,17 +158,21 @@ class LrcnTrainer(Trainer):
         right = int((logits.softmax(-1).argmax(1) == truth).sum())
         return loss, {"train_loss": loss.item() * len(batch), "train_accuracy": right}
 
-    def validation(self, numbers: np.ndarray) -> dict[str, float]:
-        """Return loss and accuracy."""
-        if not len(numbers):
-            return {"validation_loss": math.nan, "validation_accuracy": math.nan}
-        probabilities = class_probabilities(
+    def _probabilities(self, numbers: np.ndarray) -> np.ndarray:
+        """Of the classes (n, classes), for the videos with these numbers."""
+        return class_probabilities(
             self.network,
             self.videos.pixels[numbers],
             None if self.condition is None else self.condition[numbers],
             bfloat16=self.bfloat16,
             batch_size=self.settings.batch_size,
         )
+
+    def validation(self, numbers: np.ndarray) -> dict[str, float]:
+        """Return loss and accuracy."""
+        if not len(numbers):
+            return {"validation_loss": math.nan, "validation_accuracy": math.nan}
+        probabilities = self._probabilities(numbers)
         labels = self.labels[numbers]
         of_truth = probabilities[np.arange(len(labels)), labels]
         return {
@@ -234,6 +267,7 @@ def _write(trainer: LrcnTrainer, known: dict[str, Any], told: list[Path]) -> dic
         "on other videos, real ones included, is unknown"
     )
     done, files = trainer.progress, [WEIGHTS, CARD]
+    known = {**known, "draws": done.draws}
     if done.kept:
         files += [f"{ALL_VIEWS}/{name}" for name in files]
         before = [row for row in done.history if row["stage"] != FINE_TUNING]

@@ -209,11 +209,20 @@ class Trainer:
             if self.keeps_before_last and following == (self.phases[-1], 0):
                 weights = self.network.state_dict()
                 kept = {name: value.clone() for name, value in weights.items()}
-            self.progress = Progress(epoch=len(history), history=history, kept=kept)
+            draws = self.progress.draws
+            self.progress = Progress(draws, epoch=len(history), history=history, kept=kept)
             self._print_epoch(phase, most, bar)
+            if following and following[0] is not phase and self.begins_anew(phase):
+                self.progress = Progress(draws + 1)
+                following = place(self.phases, [], left_chance)
+                continue
             if following is None or len(history) == self.plateau_epochs:
                 self._check_plateau()
         bar.close()
+
+    def begins_anew(self, phase: Phase) -> bool:
+        """Return whether weights were drawn anew after a phase that taught the network nothing."""
+        return False
 
     def _epoch(self, phase: Phase, epoch: int) -> dict[str, Any]:
         """Take the remaining steps of an epoch; return its row of the history."""
