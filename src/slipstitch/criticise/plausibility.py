@@ -48,11 +48,15 @@ def _of_strains(tables: Tables, nominal: Nominal) -> np.ndarray:
     return np.where(strain < 0, -1.0, np.interp(strain, known, ratio, left=0.0, right=np.inf))
 
 
+def _weights(runs: pd.DataFrame, nominal: Nominal) -> pd.Series:
+    """Weights in newtons by run."""
+    return pd.Series(weights_of(runs, nominal), index=runs["run_id"])
+
+
 def _of_forces(name: str) -> Callable[[Tables, Nominal], np.ndarray]:
     def coefficients(tables: Tables, nominal: Nominal) -> np.ndarray:
         late = pd.Series({run: levels_of(trace)[1] for run, trace in strokes(tables[name])})
-        runs = tables[f"{name}_runs"]
-        weight = pd.Series(weights_of(runs, nominal), index=runs["run_id"]).reindex(late.index)
+        weight = _weights(tables[f"{name}_runs"], nominal).reindex(late.index)
         return (1e-3 * late / weight).to_numpy(float)
 
     return coefficients
@@ -68,8 +72,7 @@ def _of_pushes(tables: Tables, nominal: Nominal) -> np.ndarray:
     zero = traces[still].groupby("run_id")[columns].mean().reindex(traces["run_id"]).fillna(0.0)
     size = np.hypot(*(traces[columns].to_numpy() - zero.to_numpy()).T)
     level = pd.Series(size[~still]).groupby(traces["run_id"].to_numpy()[~still]).median()
-    weight = pd.Series(weights_of(runs, nominal), index=runs["run_id"]).reindex(level.index)
-    return (1e-3 * level / weight).to_numpy(float)
+    return (1e-3 * level / _weights(runs, nominal).reindex(level.index)).to_numpy(float)
 
 
 def _of_shapes(tables: Tables, nominal: Nominal) -> np.ndarray:
