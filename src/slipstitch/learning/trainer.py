@@ -214,6 +214,7 @@ class Trainer:
             self._print_epoch(phase, most, bar)
             if following and following[0] is not phase and self.begins_anew(phase):
                 self.progress = Progress(draws + 1)
+                bar.reset()
                 following = place(self.phases, [], left_chance)
                 continue
             if following is None or len(history) == self.plateau_epochs:
