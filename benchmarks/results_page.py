@@ -642,8 +642,9 @@ def results_page():
     """Return the text of docs/results.md."""
     text = "# Results\n\nMeasured numbers, from the files in `results/published`. "
     text += "Written by `make results`; each file's record says how.\n"
+    count = seeds()
     for title, (words, make) in SECTIONS.items():
-        words = words.replace("{seeds}", seeds())
+        words = words.replace("{seeds}", count)
         text += f"\n## {title}\n\n" + (f"{words}\n\n" if words else "") + f"{make()}\n"
     return text
 
