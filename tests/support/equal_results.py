@@ -7,6 +7,7 @@ and films the pixels, of JSON everything but times. A file that cannot be read r
 import hashlib
 import io
 import json
+import os
 from pathlib import Path
 
 import cv2
@@ -73,6 +74,15 @@ def _content(path: Path, name: str) -> bytes:
     return path.read_bytes()
 
 
+def _artefacts(folder: Path) -> list[Path]:
+    # A job may go on writing meanwhile: temporary folders are not entered, as they may vanish.
+    found = []
+    for place, folders, files in os.walk(folder):
+        folders[:] = [name for name in folders if not name.endswith(".tmp")]
+        found += [Path(place, name) for name in files if not name.endswith(".tmp")]
+    return sorted(found)
+
+
 def digests(results: Path) -> dict[str, str]:
     """SHA-256 of every artefact's content, by its path below the results folder.
 
@@ -82,12 +92,10 @@ def digests(results: Path) -> dict[str, str]:
     does what an audit says of them.
     """
     found = {}
-    for path in sorted(results.rglob("*")):
+    for path in _artefacts(results):
         name = path.relative_to(results).as_posix()
-        if not path.is_file() or name.startswith(LEFT_OUT) or name.endswith(".provenance.json"):
+        if name.startswith(LEFT_OUT) or name.endswith(".provenance.json"):
             continue
-        if any(part.endswith(".tmp") for part in path.relative_to(results).parts):
-            continue  # under its final name nothing of it is there
         if name.startswith("release/") and not name.startswith(("release/data/", "release/splits")):
             found[name] = "of the release"
         elif name.startswith("audit/"):
