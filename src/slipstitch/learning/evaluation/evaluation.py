@@ -21,6 +21,7 @@ from slipstitch.base.provenance import (
 )
 from slipstitch.config.train import TRAINED_ON
 from slipstitch.dataset.manifest import MANIFEST, read_manifest
+from slipstitch.dataset.probes import probed_splits
 from slipstitch.dataset.videos import Videos, read_videos, takes_part
 from slipstitch.learning.evaluation.scores import (
     AVERAGE,
@@ -215,10 +216,14 @@ def write_evaluation(
             return network.startswith((PROBE, SHIPPED)) or trained.counts(*place_of(row))
 
         table.add(_written(predictions_file, details_file, rescaled), stays)
-    else:
-        table.add(probe_table(dataset), lambda _: True)
+    scored, probed = (
+        {row["split"] for row in table.rows if row["network"].startswith(PROBE) == of_probes}
+        for of_probes in (False, True)
+    )
+    unprobed = scored.intersection(probed_splits(rows)) - probed
+    if unprobed:
+        table.add(probe_table(dataset), lambda row: row["split"] in unprobed)
     order = [test.name for test in evaluation_sets(rows)]
-    scored = {row["split"] for row in table.rows if not row["network"].startswith(PROBE)}
     found = sorted(
         (row for row in table.rows if row["split"] in scored),
         key=lambda row: (order.index(row["split"]), place_in_tables(row["network"])),
