@@ -432,10 +432,11 @@ def knowledge_of_the_bench():
     film_mm = read("camera/film_height.json")["camera_calibrated"]["rms_mm"]
     with_height = corrected(0.2)
     fabric = ["areal density", "stretching", "bending"]
+    _, _, of_fabric = effects(with_height, fabric)
+    sizes, errors, of_all = effects(with_height, [*fabric, "askew"])
 
-    def without(names):
-        """Return readings at the right height without what the columns explain."""
-        expected = effects(with_height, names)[-1]
+    def without(expected):
+        """Return readings at the right height without what a fit expects of each simulation."""
         return times(with_height, numpy.exp(-with_height["simulation"].map(expected)))
 
     rows = [
@@ -444,11 +445,10 @@ def knowledge_of_the_bench():
             ("nothing", readings),
             (f"height, by the film (± {film_mm:.1f} mm)", corrected(film_mm)),
             ("height, by a gauge block (± 0.2 mm)", with_height),
-            ("and areal density, stretching and bending", without(fabric)),
-            ("and how far askew the clamps hang", without([*fabric, "askew"])),
+            ("and areal density, stretching and bending", without(of_fabric)),
+            ("and how far askew the clamps hang", without(of_all)),
         )
     ]
-    sizes, errors, _ = effects(with_height, [*fabric, "askew"])
     words = [*(f"10 % more {name}" for name in fabric), "clamps 1° askew"]
     changes = [
         [name, f"{step * size:+.1%} ± {step * error:.1%}"]
