@@ -266,32 +266,26 @@ def _fit(time_s: np.ndarray, place_m: np.ndarray, rate: float, path: StagePath) 
     """
     stroke = ((rate * time_s - path.drop_duration_s) // path.stroke_duration_s).astype(int)
     back = stroke % 2 == 1
+    everything = np.arange(len(time_s))
 
-    whole = _parameters(time_s, place_m, back, rate, path)
-    parts = []
-    for block in _blocks(time_s):
-        kept = np.setdiff1d(np.arange(len(time_s)), block)
-        parts.append(_parameters(time_s[kept], place_m[kept], back[kept], rate, path)[0])
+    def offsets_m(parameters: np.ndarray, kept: np.ndarray) -> np.ndarray:
+        """Residuals of the places kept for rate, delay (s) and the leans ahead and back (m)."""
+        speed, late_s, ahead_m, behind_m = parameters
+        expected_m, _ = path.position_m(speed * (time_s[kept] - late_s))
+        return place_m[kept] - expected_m - np.where(back[kept], behind_m, ahead_m)
+
+    def fitted(kept: np.ndarray) -> np.ndarray:
+        def left_over(parameters: np.ndarray) -> np.ndarray:
+            return np.append(offsets_m(parameters, kept) / _SCALE_M, parameters[1] / _START_SD_S)
+
+        scales = [1e-3, 0.01, 1e-3, 1e-3]
+        return least_squares(left_over, [rate, 0, 0, 0], x_scale=scales, loss="soft_l1").x
+
+    whole = fitted(everything)
     # Blocks of time are independent, the places within one are not: the jackknife over blocks.
+    parts = [fitted(np.setdiff1d(everything, block))[0] for block in _blocks(time_s)]
     rate_sd = float(np.std(parts) * np.sqrt(len(parts) - 1))
-    offset_m = _offsets_m(whole, time_s, place_m, back, path)
-    return TimeBase(float(whole[0]), rate_sd, time_s, offset_m)
-
-
-def _offsets_m(parameters, time_s, place_m, back, path: StagePath) -> np.ndarray:
-    """Residuals of the positions (m) for rate, delay (s) and the leans ahead and back (m)."""
-    rate, late_s, ahead_m, behind_m = parameters
-    expected_m, _ = path.position_m(rate * (time_s - late_s))
-    return place_m - expected_m - np.where(back, behind_m, ahead_m)
-
-
-def _parameters(time_s, place_m, back, rate: float, path: StagePath) -> np.ndarray:
-    def left_over(parameters: np.ndarray) -> np.ndarray:
-        offset_m = _offsets_m(parameters, time_s, place_m, back, path)
-        return np.append(offset_m / _SCALE_M, parameters[1] / _START_SD_S)
-
-    scales = [1e-3, 0.01, 1e-3, 1e-3]
-    return least_squares(left_over, [rate, 0, 0, 0], x_scale=scales, loss="soft_l1").x
+    return TimeBase(float(whole[0]), rate_sd, time_s, offsets_m(whole, everything))
 
 
 def checked_rate(path, time_base: TimeBase | None) -> float:
