@@ -181,7 +181,9 @@ def what_is_seen(board: Board, images: Iterable[np.ndarray]) -> str:
     """Return in a few words what grey images show in place of a board; empty if it is nothing."""
     seen: tuple[int, str] = (0, "")
     for grey in images:
-        found = _markers(board, grey) or _checkerboard(board, grey)
+        found = _markers(board, grey)
+        if found is None and (squares := _squares_seen(grey)):
+            found = (squares[0] - 1) * (squares[1] - 1), _checkerboard(board, *squares)
         seen = max(seen, found or seen, key=lambda one: one[0])
     return seen[1]
 
@@ -233,18 +235,14 @@ def _marker_side(corners: Sequence[np.ndarray]) -> float:
     return float(np.median(sides / apart.min(axis=1)) * np.sqrt(2))
 
 
-def _checkerboard(board: Board, grey: np.ndarray) -> tuple[int, str] | None:
-    """Number of corners of a checkerboard in an image, and its size."""
-    seen = _squares_seen(grey)
-    if seen is None:
-        return None
-    columns, rows = seen
+def _checkerboard(board: Board, columns: int, rows: int) -> str:
+    """What is said of a checkerboard of so many squares in place of a board."""
     what = f"a checkerboard of {columns}x{rows} squares is seen"
     if board.marker_m:
         what += ", without markers: --board checkerboard"
     elif sorted((columns - 1, rows - 1)) == sorted(board.squares):
         what += f", which has {columns - 1}x{rows - 1} inner corners: --squares counts squares"
-    return (columns - 1) * (rows - 1), what
+    return what
 
 
 def _squares_seen(grey: np.ndarray) -> tuple[int, int] | None:
@@ -259,7 +257,7 @@ def check_size(board: Board, grey: np.ndarray, name: str) -> None:
     if board.marker_m or (seen := _squares_seen(grey)) is None:
         return
     if min(seen) > min(board.squares) or max(seen) > max(board.squares):
-        _, what = _checkerboard(board, grey) or (0, "")
+        what = _checkerboard(board, *seen)
         raise BadInput(f"{name}: not {board.squares[0]}x{board.squares[1]} squares; {what}")
 
 
