@@ -114,15 +114,13 @@ def _need(views: list[BoardView], left_out: dict[str, float]) -> None:
 
 def _simplest(views: list[BoardView]) -> str:
     """The simplest lens model that predicts unseen views about as well as any."""
-    everything = set(range(len(views)))
     errors = {}
     for name in _MODELS:
         squares, count = 0.0, 0
         for fold in range(_FOLDS):
-            unseen = set(range(fold, len(views), _FOLDS))
-            camera = _fit([views[k] for k in sorted(everything - unseen)], name)
-            for k in unseen:
-                points, corners = views[k].sighting.points_m, views[k].sighting.corners_px
+            camera = _fit([view for k, view in enumerate(views) if k % _FOLDS != fold], name)
+            for view in views[fold::_FOLDS]:
+                points, corners = view.sighting.points_m, view.sighting.corners_px
                 lens = (camera.matrix, camera.distortion)
                 _, rvec, tvec = cv2.solvePnP(points, corners, *lens)
                 seen = cv2.projectPoints(points, rvec, tvec, *lens)[0].reshape(-1, 2)
