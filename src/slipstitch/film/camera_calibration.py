@@ -199,7 +199,6 @@ class StagePose:
     # from the place of the board
     height_uncertainty_m: float
     rms_px: float
-    place: FloorPlace
 
     @property
     def position_m(self) -> np.ndarray:
@@ -242,7 +241,6 @@ def stage_pose(
         float(np.sqrt(np.trace(spread))),
         _height_sd_m(rvec, tvec, model, covariance),
         _rms(residuals),
-        place,
     )
     squares = f": are the squares {1e3 * board.square_m:g} mm (--square-mm)?"
     check_position(name, pose.position_m, squares)
@@ -318,7 +316,7 @@ def camera_to_file(
         stage.height_uncertainty_m if stage and place.is_measured else None
     )
     known.setdefault("reprojection_error_px", {})["stage_view"] = stage and stage.rms_px
-    on_floor = {"board": board and asdict(board), "place": stage and asdict(stage.place)}
+    on_floor = {"board": board and asdict(board), "place": stage and asdict(place)}
     content = {
         **lens_record(lens),
         "rotation": stage and stage.rotation.tolist(),
