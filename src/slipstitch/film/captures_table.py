@@ -21,6 +21,11 @@ from slipstitch.film.csv_table import (
 
 LARGEST_FRICTION = 10.0
 REFERENCE = ("mu_ref", "mu_ref_error")
+#: Of a table of references, of which the first four are read.
+REFERENCE_COLUMNS = (
+    *("material", "substrate", "mu", "error", "standard_error", "position_sd", "bench_error"),
+    *("positions", "orientations", "measurements", "position_p", "orientation_p"),
+)
 #: What a table says of a pair.
 LABELS = ("material", "substrate", *REFERENCE)
 #: What `slipstitch measure` can be told of a capture.
@@ -76,11 +81,10 @@ class Capture:
 
 def read_references(path: str | Path) -> dict[tuple[str, str], tuple[float, float]]:
     """(material, substrate) -> (mu, error) of what `slipstitch capture reference` wrote as CSV."""
-    columns = [TableColumn(title, name) for title in ("material", "substrate")]
-    columns += [TableColumn(title, number(0, LARGEST_FRICTION)) for title in ("mu", "error")]
-    others = ("standard_error", "position_sd", "bench_error", "positions", "orientations",
-              "measurements", "position_p", "orientation_p")  # fmt: skip
-    columns += [TableColumn(title, number(), needed=False, may_be_empty=True) for title in others]
+    columns = [TableColumn(title, name) for title in REFERENCE_COLUMNS[:2]]
+    friction = number(0, LARGEST_FRICTION)
+    columns += [TableColumn(title, friction) for title in REFERENCE_COLUMNS[2:4]]
+    columns += [TableColumn(title, number(), False, True) for title in REFERENCE_COLUMNS[4:]]
     found = {}
     for row in read_table(path, columns):
         key = (row["material"], row["substrate"])

@@ -29,6 +29,7 @@ from slipstitch.base.page.figures import plain_text, save_figure
 from slipstitch.base.page.palette import BLACK, FIXED_IDS, INTERVAL, SERIES
 from slipstitch.base.provenance import provenance_record, recorded_path, start_clock, write_json
 from slipstitch.base.tables import in_radians
+from slipstitch.film.captures_table import REFERENCE_COLUMNS
 from slipstitch.film.csv_table import TableColumn, name, number, read_table, whole_number
 
 COVERAGE = 0.95
@@ -249,11 +250,6 @@ def _mean(
 # Black is the estimate.
 _COLOURS = tuple(colour for colour in SERIES if colour != BLACK)
 
-COLUMNS = (
-    *("material", "substrate", "mu", "error", "standard_error", "position_sd", "bench_error"),
-    *("positions", "orientations", "measurements", "position_p", "orientation_p"),
-)
-
 
 def reference_to_files(
     table: Path, out: Path, details: Path | None, picture: Path | None
@@ -269,7 +265,7 @@ def reference_to_files(
         for pair in references
     ]
     with recorded_path(out, record) as temporary:
-        content = pandas.DataFrame(rows, columns=list(COLUMNS))
+        content = pandas.DataFrame(rows, columns=list(REFERENCE_COLUMNS))
         content.to_csv(temporary, index=False, float_format="%.6g")
     if details:
         write_json(details, [asdict(pair) for pair in references], record)
