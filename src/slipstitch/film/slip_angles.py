@@ -164,14 +164,14 @@ def _means(values: np.ndarray, names: list[str]) -> dict[str, tuple[float, int]]
 
 def _f_test(values: np.ndarray, full: np.ndarray, reduced: np.ndarray) -> float | None:
     """Probability of what the columns of `full` beyond `reduced` explain, by chance alone."""
-    ranks = [np.linalg.matrix_rank(design) for design in (full, reduced)]
+    ranks, squares = [], []
+    for design in (full, reduced):
+        coefficients, _, rank, _ = np.linalg.lstsq(design, values, rcond=None)
+        ranks.append(rank)
+        squares.append(float(np.sum((values - design @ coefficients) ** 2)))
     left, extra = len(values) - ranks[0], ranks[0] - ranks[1]
     if extra < 1 or left < 1:
         return None
-    squares = []
-    for design in (full, reduced):
-        coefficients = np.linalg.lstsq(design, values, rcond=None)[0]
-        squares.append(float(np.sum((values - design @ coefficients) ** 2)))
     if squares[0] <= 0:
         return 0.0
     ratio = (squares[1] - squares[0]) / extra / (squares[0] / left)
