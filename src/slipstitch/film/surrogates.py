@@ -295,13 +295,6 @@ def _write(config: Config, film: Film, images, path) -> int:
     red, blue = 1 + COLOUR_CAST * rng.uniform(-1, 1, 2)
     drift, phase = EXPOSURE_DRIFT_STOPS * rng.uniform(-1, 1), rng.uniform(0, 2 * np.pi)
     duration_s = config.simulation.recorded_s + _REST_S
-
-    def photograph(light: np.ndarray, time_s: float) -> np.ndarray:
-        share = time_s / duration_s
-        stops = drift * share + 0.2 * EXPOSURE_DRIFT_STOPS * np.sin(9 * share + phase)
-        camera = CameraEffects(float(stops), float(red), float(blue), NOISE)
-        return camera.photograph(light, rng)
-
     count = 0
     with av.open(str(path), "w", format="mp4") as container:
         options = {"crf": QUALITY_CRF, "preset": "medium", "threads": "1"}
@@ -310,20 +303,23 @@ def _write(config: Config, film: Film, images, path) -> int:
         stream.pix_fmt = "yuv420p"
         stream.time_base = stream.codec_context.time_base = _CLOCK
         container.metadata["comment"] = "Slipstitch surrogate capture: simulated, not real"
-
-        def add(light: np.ndarray, time_s: float) -> None:
-            nonlocal count
-            image = np.ascontiguousarray(photograph(light, time_s))
+        for time_s, light in _after_rest(images):
+            share = time_s / duration_s
+            stops = drift * share + 0.2 * EXPOSURE_DRIFT_STOPS * np.sin(9 * share + phase)
+            camera = CameraEffects(float(stops), float(red), float(blue), NOISE)
+            image = np.ascontiguousarray(camera.photograph(light, rng))
             frame = av.VideoFrame.from_ndarray(image, format="rgb24")
             frame.pts, frame.time_base = round(time_s / _CLOCK), _CLOCK
             container.mux(stream.encode(frame))
             count += 1
-
-        rest = int(_REST_S * FRAME_RATE_HZ)
-        for time_s, light in images:
-            if time_s == 0:
-                for k in range(rest):
-                    add(light, k / FRAME_RATE_HZ)
-            add(light, rest / FRAME_RATE_HZ + time_s)
         container.mux(stream.encode())
     return count
+
+
+def _after_rest(images) -> Iterator[tuple[float, np.ndarray]]:
+    """Time in the video, and light: the image at the start shows the rest before it, too."""
+    rest = int(_REST_S * FRAME_RATE_HZ)
+    for time_s, light in images:
+        if time_s == 0:
+            yield from ((k / FRAME_RATE_HZ, light) for k in range(rest))
+        yield rest / FRAME_RATE_HZ + time_s, light
