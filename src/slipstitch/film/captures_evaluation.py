@@ -1,6 +1,7 @@
 """Trained models on captures, real or surrogate: predictions, scores, page."""
 
 from collections.abc import Mapping, Sequence
+from functools import cache
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -34,7 +35,6 @@ from slipstitch.film.ingest_videos import CAPTURES, OF_CAPTURE, read_known
 from slipstitch.learning.evaluation import paper
 from slipstitch.learning.evaluation.metrics import CAPTURES as OF_CAPTURES
 from slipstitch.learning.evaluation.metrics import metrics_of
-from slipstitch.learning.evaluation.paper import draw_cumulative
 from slipstitch.learning.evaluation.scores import (
     CALIBRATED,
     MATERIAL,
@@ -43,8 +43,9 @@ from slipstitch.learning.evaluation.scores import (
     grouped,
     predicts_material_alone,
 )
-from slipstitch.learning.evaluation.trained import Trained
+from slipstitch.learning.evaluation.trained import Key, Trained
 from slipstitch.learning.lrcn import LrcnModel
+from slipstitch.learning.prediction import Prediction
 from slipstitch.learning.torch_setup import set_up_torch
 
 _TEMPLATE = Path(__file__).with_name("captures.html.j2")
@@ -76,6 +77,11 @@ def predict_captures(dataset: str | Path, trained: Trained) -> list[dict[str, An
         one, other, *_ = of_dataset.values()
         raise BadInput(f"{one} and {other} were trained on different datasets")
     known, videos = read_known(dataset), read_videos(dataset)
+
+    @cache  # two friction networks of a seed have one material network
+    def predicted(key: Key) -> list[Prediction]:
+        return models[key].predict(videos)
+
     rows = []
     for (split, network, seed), model in models.items():
         if predicts_material_alone(network):
@@ -86,11 +92,10 @@ def predict_captures(dataset: str | Path, trained: Trained) -> list[dict[str, An
                 f"{dataset}: videos of {stored} frames, but the networks in {trained.networks} "
                 f"were trained with {model.card['frames']}: ingest with their configuration"
             )
-        predictions = model.predict(videos)
-        material = models.get((split, MATERIAL + CALIBRATED * network.endswith(CALIBRATED), seed))
-        seen = predictions
-        if isinstance(model, LrcnModel) and material is not None:
-            seen = material.predict(videos)
+        predictions = seen = predicted((split, network, seed))
+        material = (split, MATERIAL + CALIBRATED * network.endswith(CALIBRATED), seed)
+        if isinstance(model, LrcnModel) and material in models:
+            seen = predicted(material)
         for capture, prediction, of_fabric in zip(known, predictions, seen, strict=True):
             low, high = prediction.interval_90 or (None, None)
             fabrics = of_fabric.fabrics
@@ -187,7 +192,7 @@ def _cumulative(found: Sequence[Mapping[str, Any]]) -> Figure:
     largest = max(0.3, *(errors.max() for of_label in off.values() for errors in of_label.values()))
     for colour, (title, of_label) in zip(SERIES, off.items(), strict=False):
         for kind, errors in of_label.items():
-            draw_cumulative(
+            paper.draw_cumulative(
                 axes,
                 errors,
                 largest,
