@@ -157,8 +157,8 @@ def surroundings(config: Config, pair: PairSettings) -> Surroundings:
     """Floor and lamp of a pair, drawn from what such floors look like."""
     rng = generator(config.seed, "surrogate", pair.material, pair.substrate)
     look = draw_look(pair.substrate, rng)
-    x, y, z = np.array(LAMP_POSITION_M) + rng.uniform(-0.15, 0.15, 3)
-    return Surroundings(pair.substrate, *look, (x, y, z))
+    lamp_m = LAMP_POSITION_M + rng.uniform(-0.15, 0.15, 3)
+    return Surroundings(pair.substrate, *look, tuple(lamp_m.tolist()))
 
 
 def slip_angles(config: Config) -> list[dict]:

@@ -188,9 +188,9 @@ def draw_bench_camera(seed: int, simulation: str, viewpoint: str) -> BenchCamera
         turns, aim = np.zeros(4), np.zeros(3)
     yaw_deg, pitch_deg, roll_deg, farther = turns.tolist()
     return BenchCamera(
-        *(yaw_deg, pitch_deg, roll_deg, 1 + farther, _triple(aim)),
-        rotation_error_deg=_triple(rng.normal(size=3) * ROTATION_SD_DEG),
-        position_error_m=_triple(rng.normal(size=3) * POSITION_SD_M),
+        *(yaw_deg, pitch_deg, roll_deg, 1 + farther, tuple(aim.tolist())),
+        rotation_error_deg=tuple((rng.normal(size=3) * ROTATION_SD_DEG).tolist()),
+        position_error_m=tuple((rng.normal(size=3) * POSITION_SD_M).tolist()),
         focal_error=float(rng.normal() * FOCAL_SD),
         start_error_s=float(rng.uniform(-1, 1) * START_ERROR_MAX_S),
     )
@@ -234,11 +234,6 @@ class Rectifier:
         if self.bench is None:
             return dict.fromkeys(POSE, 0.0)
         return relative_pose(self.bench.stated(camera).pose, self.calibrated.pose)
-
-
-def _triple(values: np.ndarray) -> tuple[float, float, float]:
-    x, y, z = map(float, values)
-    return x, y, z
 
 
 def _turn(axis: np.ndarray | list[float], angle_deg: float) -> np.ndarray:

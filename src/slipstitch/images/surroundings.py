@@ -75,12 +75,11 @@ def draw_surroundings(
     bench = drawn_by(simulation, view)
     rng = generator(seed, bench, *([view] if of_a_family(view) else []), "surroundings")
     floor = _draw_floor(settings.floors, rng)
-    moved = rng.uniform(-1, 1, 3) * settings.augmentation.lamp_m
-    x, y, z = (float(place + by) for place, by in zip(LAMP_POSITION_M, moved, strict=True))
+    lamp_m = LAMP_POSITION_M + rng.uniform(-1, 1, 3) * settings.augmentation.lamp_m
     if is_reflective(settings, viewpoint_id):
         own = generator(seed, bench, view, "reflective floor")
         floor = _draw_floor(settings.reflective_floors, own)
-    return Surroundings(*floor, (x, y, z))
+    return Surroundings(*floor, tuple(lamp_m.tolist()))
 
 
 def _draw_floor(names: Sequence[str], rng: np.random.Generator) -> tuple[str, float, float, float]:
