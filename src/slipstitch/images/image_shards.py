@@ -14,6 +14,7 @@ import pyarrow as pa
 
 from slipstitch.base import provenance
 from slipstitch.base.errors import BadInput
+from slipstitch.base.page.wording import evenly
 from slipstitch.config import Config
 from slipstitch.images.camera import keypoints_m
 from slipstitch.images.composition import compose_light, join
@@ -171,28 +172,27 @@ def preview(
     common = sorted(set.intersection(*numbers)) if numbers else []
     if not common:
         raise BadInput(f"no common frame in {', '.join(map(str, shards))}")
-    textures: dict[tuple[str, str], list[str]] = {}
-    for simulation, texture, view in sorted(videos):
-        textures.setdefault((simulation, view), []).append(texture)
+    views: dict[tuple[str, str], list[tuple[str, str, str]]] = {}
+    for key in sorted(videos):
+        simulation, _, view = key
+        views.setdefault((simulation, view), []).append(key)
+    firsts = [keys[0] for keys in views.values()]
 
-    def image(simulation: str, texture: str, view: str, number: int) -> np.ndarray:
-        data, path = videos[simulation, texture, view][number]
-        return decode_image(data, f"{path}: {simulation}_{texture}_{view} frame {number}")
+    def image(key: tuple[str, str, str], number: int) -> np.ndarray:
+        data, path = videos[key][number]
+        return decode_image(data, f"{path}: {'_'.join(key)} frame {number}")
 
     record = provenance.provenance_record("render", inputs=shards, started=started)
-    firsts = [(simulation, all_[0], view) for (simulation, view), all_ in textures.items()]
     if sheet is not None:
-        places = np.linspace(0, len(common) - 1, min(_SHEET_COLUMNS, len(common)))
-        times = [common[k] for k in sorted({*places.round().astype(int).tolist()})]
-        middle = common[len(common) // 2]
-        rows = [[image(*first, number) for number in times] for first in firsts]
-        for (s, v), all_ in textures.items():
-            for k in range(0, len(all_) if len(all_) > 1 else 0, _SHEET_COLUMNS):
-                rows.append([image(s, t, v, middle) for t in all_[k : k + _SHEET_COLUMNS]])
+        times, middle = evenly(common, _SHEET_COLUMNS), common[len(common) // 2]
+        rows = [[image(first, number) for number in times] for first in firsts]
+        for keys in views.values():
+            for k in range(0, len(keys) if len(keys) > 1 else 0, _SHEET_COLUMNS):
+                rows.append([image(key, middle) for key in keys[k : k + _SHEET_COLUMNS]])
         with provenance.recorded_path(sheet, record) as temporary:
             temporary.write_bytes(cv2.imencode(".png", _tile(rows))[1].tobytes())
     if video is not None:
-        pictures = (_tile([[image(*first, number) for first in firsts]]) for number in common)
+        pictures = (_tile([[image(first, number) for first in firsts]]) for number in common)
         with provenance.recorded_path(video, record) as temporary:
             _write_video(temporary, pictures, rate_hz=max(1.0, len(common) / _SECONDS))
 
