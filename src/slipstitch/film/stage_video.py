@@ -1,7 +1,7 @@
 """From a video of the bench to the input frames of a network."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -48,10 +48,9 @@ class StageVideo:
     view_angle_deg: float
     # pose of the camera relative to that viewpoint, see `slipstitch.images.camera.POSE`
     pose: dict[str, float]
-    inside: np.ndarray  # (n,): share of each image that the real camera saw
     edge: EdgeFinder | None  # tells the height of the lowered clamps; None if not followed
     # what a person should know before trusting the result
-    notes: list[str] = field(default_factory=list)
+    notes: list[str]
 
 
 def read_stage_video(
@@ -83,12 +82,11 @@ def read_stage_video(
     recording = Recording(path, frame_rate_hz)
     _check_size(recording, lens)
     start, notes = _start(recording, lens, schedule, start_s)
-    followed = is_followed(schedule)
     chosen, intervals, follower = _choose(
         recording,
         schedule.time_s,
         start.time_s,
-        lambda: StageFollower(lens, schedule) if followed else None,
+        lambda: StageFollower(lens, schedule) if is_followed(schedule) else None,
     )
     time_base = follower.time_base() if follower else None
     if follower and (still_s := follower.still_from_s(time_base)) is not None:
@@ -103,7 +101,22 @@ def read_stage_video(
     frames, inside = _rectified([image for _, image in chosen], time_s, lens, schedule)
     if problem := _seen_too_little(inside, time_s):
         raise BadInput(f"{path}: {problem}")
-    video = StageVideo(
+    view_angle_deg = _view_angle_deg(lens, schedule)
+    off_s = np.abs(time_s - schedule.time_s)
+    if off_s.max() > _NEAR_S:
+        notes.append(
+            f"{int((off_s > _NEAR_S).sum())} frame(s) are up to {off_s.max():.2f} s from the "
+            "required time, because frames are missing"
+        )
+    notes += clock_notes(time_base, schedule, corrected=rate != 1.0)
+    if inside.min() < 0.999:
+        notes.append(
+            f"the camera sees only {100 * inside.min():.0f} % of a crop; the rest repeats its "
+            "border"
+        )
+    if note_far_view and view_angle_deg > _FAR_VIEW_DEG:
+        notes.append(f"the camera is {view_angle_deg:.0f} degrees from the calibrated viewpoint")
+    return StageVideo(
         frames=frames,
         time_s=time_s,
         stage_x_m=schedule.path.position_m(np.maximum(time_s, 0.0))[0],
@@ -111,18 +124,11 @@ def read_stage_video(
         time_base=time_base,
         frame_interval_s=float(np.median(intervals)),
         longest_gap_s=float(np.max(intervals)),
-        view_angle_deg=_view_angle_deg(lens, schedule),
+        view_angle_deg=view_angle_deg,
         pose=relative_pose(lens.pose, schedule.pose),
-        inside=inside,
         edge=follower.edge if follower else None,
         notes=notes,
     )
-    video.notes.extend(_notes(video, schedule, corrected=rate != 1.0))
-    if note_far_view and video.view_angle_deg > _FAR_VIEW_DEG:
-        video.notes.append(
-            f"the camera is {video.view_angle_deg:.0f} degrees from the calibrated viewpoint"
-        )
-    return video
 
 
 def _start(
@@ -276,20 +282,3 @@ def _view_angle_deg(lens: Camera, schedule: Schedule) -> float:
         seen_from = -rotation.T @ translation - np.array(AIM_M)
         directions.append(seen_from / np.linalg.norm(seen_from))
     return float(np.degrees(np.arccos(np.clip(directions[0] @ directions[1], -1, 1))))
-
-
-def _notes(video: StageVideo, schedule: Schedule, corrected: bool) -> list[str]:
-    notes = []
-    off_s = np.abs(video.time_s - schedule.time_s)
-    if off_s.max() > _NEAR_S:
-        notes.append(
-            f"{int((off_s > _NEAR_S).sum())} frame(s) are up to {off_s.max():.2f} s from the "
-            "required time, because frames are missing"
-        )
-    notes += clock_notes(video.time_base, schedule, corrected)
-    if video.inside.min() < 0.999:
-        notes.append(
-            f"the camera sees only {100 * video.inside.min():.0f} % of a crop; the rest repeats "
-            "its border"
-        )
-    return notes
