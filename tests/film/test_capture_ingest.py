@@ -267,6 +267,14 @@ def test_captures_become_a_dataset_like_any_other(folder, capsys):
     assert read_known(folder / "dataset")[0]["mu_ref"] == 0.33
 
 
+def test_a_wrong_number_where_any_is_allowed_is_named_without_bounds(folder, capsys):
+    reference = "material,substrate,mu,error,bench_error\ngray-interlock,glass,0.33,0.015,small\n"
+    (folder / "reference.csv").write_text(reference)
+    command = command_of(folder, "a.mp4,gray-interlock,glass,1,,,no,camera.json")
+    said = refused(capsys, f"{command} --reference {folder}/reference.csv")
+    assert said.rstrip().endswith("line 2, bench_error: 'small'; must be a number")
+
+
 def changed(old, new):
     """The rows of a table of the good one alone, changed."""
     return [GOOD.replace(old, new)]

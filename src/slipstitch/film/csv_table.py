@@ -40,11 +40,11 @@ def number(
     low: float = -math.inf, high: float = math.inf, open_ends: bool = False
 ) -> Callable[[str], float]:
     """Reader of numbers between two bounds, which belong to the range unless `open_ends`."""
+    allowed = "must be a number"
+    if math.isfinite(low):
+        allowed += f" {'above' if open_ends else 'from'} {low:g}"
     if math.isfinite(high):
-        allowed = f"must be a number {'above' if open_ends else 'from'} {low:g} "
-        allowed += f"{'and below' if open_ends else 'to'} {high:g}"
-    else:
-        allowed = f"must be a number {'above' if open_ends else 'of at least'} {low:g}"
+        allowed += f" {'and below' if open_ends else 'to'} {high:g}"
 
     def read(cell: str) -> float:
         try:
