@@ -59,8 +59,8 @@ def _page(result: MeasuredPair | MeasuredCaptures) -> str:
     return repeats_page(result) if result.count > 1 else measurement_page(result.videos[0])
 
 
-def _frames(result: MeasuredVideo) -> list[dict]:
-    """Every frame with its weight in the decision."""
+def _frames(result: MeasuredVideo, decisive_alone: bool = False) -> list[dict]:
+    """Every frame with its weight in the decision, or the decisive ones alone."""
     video = result.video
     weights = np.asarray(result.measurement.attention_weights, dtype=float)
     ranks = np.argsort(-weights, kind="stable")[:_DECISIVE]
@@ -76,6 +76,7 @@ def _frames(result: MeasuredVideo) -> list[dict]:
         for k, (image, time_s, weight, points) in enumerate(
             zip(video.frames, video.time_s, weights, keypoints_px, strict=True)
         )
+        if k in ranks or not decisive_alone
     ]
 
 
@@ -154,10 +155,7 @@ def repeats_page(pair: MeasuredPair) -> str:
         _OF_REPEATS,
         pair=pair,
         figure=svg_element(_figure(pair), "Friction of each video with its interval"),
-        rows=[
-            (video, [frame for frame in _frames(video) if frame["decisive"]])
-            for video in pair.videos
-        ],
+        rows=[(video, _frames(video, decisive_alone=True)) for video in pair.videos],
         span=span,
     )
 
