@@ -49,11 +49,14 @@ class Pack:
         record["lamp_position_m"] = tuple(record["lamp_position_m"])
         return Surroundings(**record)
 
-    def frames(self, trajectory: Trajectory) -> Iterator[tuple[Shot, Shading, Sight]]:
-        """Each frame's light and what its rays see."""
+    def frames(
+        self, trajectory: Trajectory, frame: int | None = None
+    ) -> Iterator[tuple[Shot, Shading, Sight]]:
+        """Each frame's light and what its rays see, or of the one of a number alone."""
         for shot, packed in zip(self.shots, self.shadings, strict=True):
-            sight = _sight(trajectory, shot, self.surroundings)
-            yield shot, _unpack(packed, shot.camera.pixels), sight
+            if frame in (None, shot.frame):
+                sight = _sight(trajectory, shot, self.surroundings)
+                yield shot, _unpack(packed, shot.camera.pixels), sight
 
 
 def _sight(trajectory: Trajectory, shot: Shot, surroundings: Surroundings) -> Sight:

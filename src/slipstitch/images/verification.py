@@ -92,9 +92,7 @@ def compare(
     name = texture_ids(config.render)[stored["texture"]]
     trajectory = view.trajectory()
     pack = read_pack(pack_path, view, trajectory)
-    shot, shading, sight = next(
-        frame for frame in pack.frames(trajectory) if frame[0].frame == stored["frame"]
-    )
+    shot, shading, sight = next(pack.frames(trajectory, stored["frame"]))
     effects = view.camera_effects()[stored["texture"]]
     (light,) = compose_light(join(shading, sight), [view.worn(name)])
     rectified = view.rectifier(trajectory).at(shot.camera, shot.time_s)
