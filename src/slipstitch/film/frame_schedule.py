@@ -1,6 +1,6 @@
 """The times of the protocol that a network sees, and the calibrated view at each."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,7 +16,7 @@ class Schedule(CalibratedView):
 
     frame: np.ndarray  # (n,) int: numbers in the simulation
     frame_rate_hz: float  # frame k is at k / this, counted from the start of the stage's motion
-    path: StagePath = field(default_factory=StagePath)
+    path: StagePath
 
     @classmethod
     def of(cls, config: Config) -> "Schedule":
