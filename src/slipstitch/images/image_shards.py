@@ -67,13 +67,13 @@ def render_shard(
         pack = shade(view, trajectory, progress)
     else:
         pack = read_pack(pack_path, view, trajectory)
+        files.append(Path(pack_path))
     # PNG does not compress any further.
     how = {name: "zstd" for name in SCHEMA.names if name != "image"}
     # A group holds some tens of images, whole frames of them.
     size = -(-_GROUP // len(view.textures)) * len(view.textures)
     rows = (_row(view, trajectory, *one) for one in composed_images(view, pack, trajectory))
     groups = iter(lambda: list(islice(rows, size)), [])
-    files += [] if pack_path is None else [Path(pack_path)]
     provenance.write_row_groups(
         out, SCHEMA, groups,
         lambda: _description(view, pack, trajectory, files, started), compression=how,
