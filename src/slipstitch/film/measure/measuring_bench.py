@@ -222,8 +222,7 @@ class MeasuringBench:
         """
         known = {name: value for name, value in fabric.items() if value is not None}
         protocol_m = self.schedule.path.lowered_height_m
-        height = clamp_height_mm, clamp_height_error_mm
-        clamps = told_height(*height, protocol_m, self.is_shipped)
+        clamps = told_height(clamp_height_mm, clamp_height_error_mm, protocol_m, self.is_shipped)
         return replace(self, clamps=clamps, fabric=replace(self.fabric, told=known))
 
     def measure(
