@@ -82,7 +82,7 @@ def read_stage_video(
     recording = Recording(path, frame_rate_hz)
     _check_size(recording, lens)
     start, notes = _start(recording, lens, schedule, start_s)
-    chosen, intervals, follower = _choose(
+    seen_s, images, intervals, follower = _choose(
         recording,
         schedule.time_s,
         start.time_s,
@@ -96,9 +96,9 @@ def read_stage_video(
         )
     rate = checked_rate(path, time_base)
     if rate != 1.0:
-        chosen, intervals, _ = _choose(recording, schedule.time_s / rate, start.time_s)
-    time_s = rate * (np.array([moment_s for moment_s, _ in chosen]) - start.time_s)
-    frames, inside = _rectified([image for _, image in chosen], time_s, lens, schedule)
+        seen_s, images, intervals, _ = _choose(recording, schedule.time_s / rate, start.time_s)
+    time_s = rate * (seen_s - start.time_s)
+    frames, inside = _rectified(images, time_s, lens, schedule)
     if problem := _seen_too_little(inside, time_s):
         raise BadInput(f"{path}: {problem}")
     view_angle_deg = _view_angle_deg(lens, schedule)
@@ -212,8 +212,8 @@ def _choose(
     protocol_s: np.ndarray,
     start_s: float,
     new_follower: Callable[[], StageFollower | None] = lambda: None,
-) -> tuple[list[tuple[float, np.ndarray]], np.ndarray, StageFollower | None]:
-    """The frame nearest to each wanted time, and the times between frames from the start on.
+) -> tuple[np.ndarray, list[np.ndarray], np.ndarray, StageFollower | None]:
+    """Time and image of the frame nearest to each wanted time; times between frames from the start.
 
     A follower is shown the frames that it chooses on the way. Only what these need is decoded,
     where the container lists its frames and all of them turn out to be sound.
@@ -235,7 +235,7 @@ def _chosen(
     wanted_s: np.ndarray,
     start_s: float,
     follower: StageFollower | None,
-) -> tuple[list[tuple[float, np.ndarray]], np.ndarray] | None:
+) -> tuple[np.ndarray, list[np.ndarray], np.ndarray] | None:
     """As `_choose`, of the frames in an index; None if one of them cannot be decoded."""
     time_s = index.time_s
     nearest = [_nearest(recording, time_s, one_s, start_s, wanted_s[-1]) for one_s in wanted_s]
@@ -253,8 +253,8 @@ def _chosen(
         return None
     passed_s = time_s[time_s <= max(time_s[nearest[-1]], start_s)]
     intervals = np.diff(passed_s)[passed_s[1:] >= start_s]
-    chosen = [(float(time_s[number]), images[number]) for number in nearest]
-    return chosen, intervals if len(intervals) else np.zeros(1)
+    intervals = intervals if len(intervals) else np.zeros(1)
+    return time_s[nearest], [images[number] for number in nearest], intervals
 
 
 def _nearest(
