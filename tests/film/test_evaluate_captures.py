@@ -12,8 +12,10 @@ from support.refusal import refused, run
 from support.synthetic_results import captured
 
 from slipstitch.base.errors import BadInput
+from slipstitch.base.page.palette import SERIES
 from slipstitch.config import write_config
 from slipstitch.config.catalogue import VIEWPOINTS
+from slipstitch.film import captures_evaluation
 from slipstitch.film.captures_evaluation import write_captures_evaluation
 from slipstitch.film.captures_scores import capture_scores, distance, subsets
 from slipstitch.images.camera import pose
@@ -69,6 +71,15 @@ def test_a_pair_is_within_a_tenth_if_its_median_is_as_the_paper_counts():
     pairs = {"all": 39 / 63, "matte": 31 / 36, "all, reflective training": 59 / 63}
     assert {name: printed[name] for name in pairs} == pytest.approx(pairs, abs=1e-3)
     assert not any("within_0.1" in figures for figures in paper.CAPTURES.values())
+
+
+def test_every_network_has_a_curve_also_beyond_the_colours():
+    names = [f"network {number}" for number in range(len(SERIES) + 2)]
+    found = [row | {"model": name, "trained_on": "by_video"} for name in names for row in CLASSES]
+    figure = captures_evaluation._cumulative([row | {"seed": 0} for row in found])
+    lines = figure.axes[0].lines
+    looks = {(line.get_color(), line.get_alpha()) for line in lines}
+    assert len(looks) == len(names) and len(lines) == 3 * len(names)  # all, matte, reflective
 
 
 def test_scores_of_an_instrument():

@@ -190,13 +190,15 @@ def _cumulative(found: Sequence[Mapping[str, Any]]) -> Figure:
         if (model + CALIBRATED, split) not in of_trainings
     }
     largest = max(0.3, *(errors.max() for of_label in off.values() for errors in of_label.values()))
-    for colour, (title, of_label) in zip(SERIES, off.items(), strict=False):
+    for number, (title, of_label) in enumerate(off.items()):
+        again, place = divmod(number, len(SERIES))
         for kind, errors in of_label.items():
             paper.draw_cumulative(
                 axes,
                 errors,
                 largest,
-                color=colour,
+                color=SERIES[place],
+                alpha=0.5**again,  # curves beyond the palette are paler
                 linestyle=_DASHES[kind],
                 label=title.replace("_", " ") if kind == "all" else None,
                 linewidth=1.8 if kind == "all" else 1.1,
