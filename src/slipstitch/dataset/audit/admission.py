@@ -10,7 +10,6 @@ import resource
 import stat
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -34,6 +33,8 @@ TEXT_BYTES_MAX = 1000
 MEMORY_BYTES = 768 * 2**20
 NESTING_MAX = 200
 _LABEL_RATIO = 50
+_BATCH_ROWS = 256
+_BUFFER_BYTES = 2**20
 _STEPS = np.zeros(256, np.int8)
 _STEPS[[ord(sign) for sign in "[{"]], _STEPS[[ord(sign) for sign in "]}"]] = 1, -1
 _KINDS = {
@@ -135,21 +136,22 @@ def check_parquet(path: Path, images: bool) -> str | None:
         return None if known == size else f"{size - known} bytes do not belong to any column"
 
 
-def text_columns(path: Path) -> list[str]:
-    """Names of a file's columns of text."""
+def batches(path: Path) -> Iterator[pa.RecordBatch]:
+    """A Parquet file a few rows at a time; Harmful if it has texts that grow row by row.
+
+    Texts come as dictionaries: a long one that every row repeats is held once.
+    """
     schema = pq.read_schema(path)
-    return [column.name for column in schema if str(column.type) in ("string", "large_string")]
-
-
-def short_texts(batch: Any, path: Path) -> None:
-    """Refuse texts, read as dictionaries, that grow when they are written out row by row."""
-    for name, column in zip(batch.schema.names, batch.columns, strict=True):
-        for chunk in getattr(column, "chunks", [column]):
-            if not hasattr(chunk, "dictionary"):
-                continue
-            longest = pc.max(pc.binary_length(chunk.dictionary)).as_py() or 0
-            if longest > TEXT_BYTES_MAX:
-                raise Harmful(f"{path}: a text of {longest} bytes in {name}; not read")
+    texts = [column.name for column in schema if str(column.type) in ("string", "large_string")]
+    with pq.ParquetFile(path, read_dictionary=texts, buffer_size=_BUFFER_BYTES) as file:
+        for batch in file.iter_batches(batch_size=_BATCH_ROWS, use_threads=False):
+            for name, column in zip(batch.schema.names, batch.columns, strict=True):
+                if not pa.types.is_dictionary(column.type):
+                    continue
+                longest = pc.max(pc.binary_length(column.dictionary)).as_py() or 0
+                if longest > TEXT_BYTES_MAX:
+                    raise Harmful(f"{path}: a text of {longest} bytes in {name}; not read")
+            yield batch
 
 
 @contextlib.contextmanager

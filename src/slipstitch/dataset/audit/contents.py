@@ -198,9 +198,7 @@ def _read_manifest(contents: Contents, path: Path) -> None:
         if column not in schema.names or schema.field(column).type != kind:
             raise ValueError(f"no column {column!r} of type {kind}")
     contents.notes = read_metadata(schema)
-    table = pq.read_table(path, read_dictionary=admission.text_columns(path))
-    admission.short_texts(table, path)
-    rows = table.to_pylist()
+    rows = [row for batch in admission.batches(path) for row in batch.to_pylist()]
     if any(row[column] is None for row in rows for column in NEEDED_COLUMNS):
         raise ValueError("missing value")
     if any(not 0 < row["frames"] <= FRAMES_MAX for row in rows):

@@ -3,13 +3,11 @@
 import hashlib
 import os
 from collections import defaultdict
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import pyarrow as pa
 import pyarrow.parquet as pq
 
 from slipstitch.base.errors import BadInput, first_line
@@ -24,8 +22,6 @@ from slipstitch.dataset.videos import DATASET_SCHEMA, decode
 _LABELS = ("simulation", "material", "friction", "texture_id", "viewpoint_id")
 # Labels of an image that its video's row of the manifest repeats: column there -> column here.
 SHARED = {name: name.removesuffix("_id") for name in _LABELS}
-_BATCH_ROWS = 256
-_BUFFER_BYTES = 2**20
 _GROWS = "takes far more memory than it has bytes; not read"
 
 
@@ -43,15 +39,6 @@ class Shard:
     flaws: dict[str, str] = field(default_factory=dict)
 
 
-def _batches(path: Path) -> Iterator[pa.RecordBatch]:
-    # Texts as dictionaries: a long one that every row repeats is held once.
-    texts = admission.text_columns(path)
-    with pq.ParquetFile(path, read_dictionary=texts, buffer_size=_BUFFER_BYTES) as file:
-        for batch in file.iter_batches(batch_size=_BATCH_ROWS, use_threads=False):
-            admission.short_texts(batch, path)
-            yield batch
-
-
 def decoded_shard(path: Path, pixels: int | None = None) -> Shard:
     """Decode a shard's images and take down what it says of its videos."""
     shard = Shard()
@@ -60,7 +47,7 @@ def decoded_shard(path: Path, pixels: int | None = None) -> Shard:
         shard.odd = admission.check_parquet(path, images=True)
         if not pq.read_schema(path).equals(DATASET_SCHEMA, check_metadata=True):
             shard.odd = "its columns are not those of a shard"
-        for batch in _batches(path):
+        for batch in admission.batches(path):
             names = [name for name in batch.schema.names if name != "image"]
             columns = {name: batch.column(name).to_pylist() for name in names}
             images, paths = (batch.column("image").field(name) for name in ("bytes", "path"))
