@@ -148,7 +148,8 @@ def _fill(
     currency.copy_code(project, folder)
     facts = facts_of(config, project, time_of_making().date().isoformat())
     _write_records(folder, config, results, artefacts)
-    card = card_of(folder, facts, config, rows, artefacts, pictures)
+    parts = manifest.parts_of_splits(splits, part_of)
+    card = card_of(folder, facts, config, rows, parts, artefacts, pictures)
     (folder / CARD).write_text(card, encoding="utf-8")
     # rdflib and rocrate take a second to import.
     from slipstitch.dataset.release.metadata import crate_text, croissant_text

@@ -124,31 +124,26 @@ def card_of(
     facts: Mapping[str, Any],
     config: Config,
     rows: Sequence[Mapping[str, Any]],
+    parts: Mapping[str, Mapping[str, Sequence[str]]],
     artefacts: Mapping[str, Artefact],
     pictures: Mapping[str, str],
 ) -> str:
-    """Text of ``README.md``, from the manifest's rows, the shards and the carried records."""
-    splits = {
-        name.removeprefix(PREFIX): [row[name] for row in rows]
-        for name in rows[0]
-        if name.startswith(PREFIX)
-    }
-    sides = manifest.parts_of_splits(splits, [row["part"] for row in rows])
+    """Text of ``README.md``, from the manifest's rows, the splits' parts and carried records."""
     # The split that is loaded if none is named.
-    default = "by_simulation" if "by_simulation" in sides else next(iter(sides))
+    default = "by_simulation" if "by_simulation" in parts else next(iter(parts))
     images = sum(row["frames"] for row in rows)
     law = config.simulation.model and recorded_name(config.simulation.model, artefacts)
     records = [one.record for one in artefacts.values() if one.provenance is not None]
     return render(
         _TEMPLATE,
-        front_matter=front_matter(facts, images, sides, default),
+        front_matter=front_matter(facts, images, parts, default),
         facts=facts,
         default=default,
         images=images,
         videos=len(rows),
         values={name: sorted({row[name] for row in rows}) for name in _COUNTED},
         varied=varied(rows),
-        splits=split_table(rows, list(sides)),
+        splits=split_table(rows, list(parts)),
         sides=SIDES,
         manifest_columns=[(name, manifest.described(name)) for name in rows[0]],
         frame_columns=[(name, manifest.described(name)) for name in DATASET_SCHEMA.names],
