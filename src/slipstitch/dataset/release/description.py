@@ -1,7 +1,7 @@
 """What a release says of itself, computed from what it holds: facts, and the card README.md."""
 
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,6 @@ from slipstitch.dataset.release.records import (
     Artefact,
     carried_file,
     is_calibration,
-    is_carried,
     recorded_name,
 )
 from slipstitch.dataset.videos import DATASET_SCHEMA
@@ -162,16 +161,15 @@ def card_of(
     )
 
 
-def _calibration(folder: Path, artefacts: Mapping[str, Artefact]) -> list[dict[str, Any]]:
+def _calibration(folder: Path, artefacts: Iterable[str]) -> list[dict[str, Any]]:
     """The largest error of each kind of check, beside what is allowed."""
     worst: dict[str, dict[str, Any]] = {}
-    for path, artefact in sorted(artefacts.items()):
-        if is_calibration(path) and is_carried(artefact):
-            for check in read_json(folder / carried_file(path))["checks"]:
-                unit = "(relative)" if check["relative"] else check["unit"]
-                kept = worst.get(check["name"])
-                if kept is None or check["error"] > kept["error"]:
-                    worst[check["name"]] = {**check, "unit": unit}
+    for path in sorted(filter(is_calibration, artefacts)):
+        for check in read_json(folder / carried_file(path))["checks"]:
+            unit = "(relative)" if check["relative"] else check["unit"]
+            kept = worst.get(check["name"])
+            if kept is None or check["error"] > kept["error"]:
+                worst[check["name"]] = {**check, "unit": unit}
     return list(worst.values())
 
 
