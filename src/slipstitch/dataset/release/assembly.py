@@ -3,13 +3,11 @@
 import os
 import shutil
 from collections.abc import Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from slipstitch.base.errors import BadInput, SlipstitchError
 from slipstitch.base.page.wording import time_of_making
-from slipstitch.base.progress import progress
 from slipstitch.base.project import pinned_versions
 from slipstitch.base.provenance import (
     atomic_path,
@@ -137,11 +135,8 @@ def _fill(
     sample = results / "sample"
     splits = manifest.split_columns(sampled, config)
     part_of = manifest.parts(splits)
-    videos = [row["video"] for row in sampled]
-    places = write_shards(
-        sample, sampled, dict(zip(videos, part_of, strict=True)), folder, config.release.shard_mb,
-        partial(progress, description="release: ", unit="file"),
-    )  # fmt: skip
+    part_of_video = {row["video"]: part for row, part in zip(sampled, part_of, strict=True)}
+    places = write_shards(sample, sampled, part_of_video, folder, config.release.shard_mb)
     rows = manifest.released_rows(sampled, splits, part_of, places)
     manifest.write_manifest(rows, list(splits), folder)
     pictures = write_previews(folder, rows)

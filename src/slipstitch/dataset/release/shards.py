@@ -12,6 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from slipstitch.base.errors import BadInput
 from slipstitch.base.page.wording import evenly
+from slipstitch.base.progress import progress
 from slipstitch.base.provenance import read_parquet
 from slipstitch.dataset.videos import DATASET_SCHEMA, decode
 
@@ -173,7 +174,6 @@ def write_shards(
     part_of: Mapping[str, str],
     out: Path,
     shard_mb: float,
-    progress=iter,
 ) -> dict[str, dict[str, Any]]:
     """Write all images to ``data/`` in `out`; return by video ``shard`` and ``first_row`` in it.
 
@@ -189,7 +189,7 @@ def write_shards(
     videos_of = {file: [row["video"] for row in rows if row["file"] == file] for file in files}
     places: dict[str, tuple[str, int, int]] = {}
     try:
-        for file in progress(files):
+        for file in progress(files, "release: ", unit="file"):
             table = read_parquet(sample_dir / file)
             if not table.schema.equals(DATASET_SCHEMA):
                 raise BadInput(f"{sample_dir / file}: its columns are not those of the dataset")
