@@ -118,16 +118,13 @@ def simulation_section(results: Results) -> dict[str, Any]:
     planned, done = simulations(results.config), results.simulated()
     frictions = evenly(results.config.grid.frictions, MOST_FRICTIONS_SHOWN)
     runs = list(results.trajectories([one for one in done if one.friction in frictions]))
-    first: dict[tuple[str, float], SimulationSummary] = {}
-    for run in runs:
-        first.setdefault((run.simulation.material, run.simulation.friction), run)
     residual, tolerance = results.largest_residual()
     costs = {stage.stage: stage.cpu_median_s for stage in benchmarks(results.folder)}
     return {
         "planned": len(planned),
         "done": len(done),
         "missing": [simulation.id for simulation in planned if simulation not in done],
-        "profiles": svg_uri(profiles(list(first.values()))),
+        "profiles": svg_uri(profiles(runs)),
         "tails": svg_uri(tails(runs)),
         "residual": residual,
         "tolerance": tolerance,
@@ -148,29 +145,30 @@ def profiles(trajectories: Sequence[SimulationSummary]) -> Figure | None:
     if not trajectories:
         return None
     materials, frictions = _labels(trajectories)
+    drawn: dict[tuple[str, float], SimulationSummary] = {}
+    for run in trajectories:  # of replicates the first
+        drawn.setdefault((run.simulation.material, run.simulation.friction), run)
     figure = new_figure(max(2.25 * len(frictions) + 0.3, 7.0), 1.75 * len(materials) + 0.5)
     shared: Any = {"sharex": True, "sharey": True, "squeeze": False}
     panels = figure.subplots(len(materials), len(frictions), **shared)
-    reach = max(float(np.abs(run.centre_m[:, :, 0]).max()) for run in trajectories)
+    reach = max(float(np.abs(run.centre_m[:, :, 0]).max()) for run in drawn.values())
     reach = 1e3 * min(reach, 0.2) + 8
     used: dict[str, Any] = {}
-    drawn = {(run.simulation.material, run.simulation.friction) for run in trajectories}
     for (row, column), axes in np.ndenumerate(panels):
-        if (materials[row], frictions[column]) not in drawn:
-            axes.text(0.0, 80.0, "not run", ha="center", color=SOFT, fontsize=8)
         axes.set_aspect("equal")
         axes.axhline(0.0, color=THEORY, lw=0.8)
         axes.set(xlim=(-reach, reach), ylim=(-8, 175), xticks=[-100, 0, 100], yticks=[0, 100])
         axes.tick_params(length=2, labelsize=7.5)
         axes.spines[["left", "bottom"]].set_visible(False)
-    for run in trajectories:
-        one = run.simulation
-        axes = panels[materials.index(one.material), frictions.index(one.friction)]
+        shown = drawn.get((materials[row], frictions[column]))
+        if shown is None:
+            axes.text(0.0, 80.0, "not run", ha="center", color=SOFT, fontsize=8)
+            continue
         for moment, name, colour in MOMENTS:
-            if moment <= run.time_s[-1] + 0.5:
-                frame = int(np.argmin(np.abs(run.time_s - moment)))
-                (line,) = axes.plot(*(1e3 * run.centre_m[frame].T), color=colour, lw=1.6)
-                used.setdefault(f"{name} ({run.time_s[frame]:.0f} s)", line)
+            if moment <= shown.time_s[-1] + 0.5:
+                frame = int(np.argmin(np.abs(shown.time_s - moment)))
+                (line,) = axes.plot(*(1e3 * shown.centre_m[frame].T), color=colour, lw=1.6)
+                used.setdefault(f"{name} ({shown.time_s[frame]:.0f} s)", line)
     for axes, friction in zip(panels[0], frictions, strict=True):
         axes.set_title(f"µ = {friction:g}")
     for axes, material in zip(panels[:, 0], materials, strict=True):
