@@ -150,7 +150,6 @@ def crate_text(
     record: Mapping[str, Any],
 ) -> str:
     """Text of ``ro-crate-metadata.json``, over everything that was in `folder` before it."""
-    artefacts = {**artefacts, ".": Artefact(".", "", provenance=dict(record))}
     crate = ROCrate(version="1.1")  # which the profiles are based on
     crate.metadata.extra_contexts.append(_CONTEXT)  # has sha256
     root = crate.root_dataset
@@ -184,18 +183,19 @@ def crate_text(
             subjectOf={"@id": record_file(path)},
         )
         for path, artefact in artefacts.items()
-        if path != "."
     }  # fmt: skip
+    shards = [entity for name, entity in entities.items() if name.startswith(f"{FOLDER}/")]
     actions = [
-        _action(crate, artefact, entities)
-        for artefact in artefacts.values()
+        _action(crate, path, artefact.provenance, [entities[path]], entities)
+        for path, artefact in artefacts.items()
         if artefact.provenance is not None
     ]
+    actions.append(_action(crate, "release", record, shards, entities))
     whole = crate.add_action(
         main,
         "#run",
         object=[entities["records/config.json"]],
-        result=[entities["manifest.parquet"], *_shards(entities)],
+        result=[entities[MANIFEST], *shards],
         properties={"name": "The workflow run that generated this release"},
     )
     root["mentions"] = [whole, *actions, _organised(crate, main, whole, actions)]
@@ -229,19 +229,13 @@ def _organised(crate: ROCrate, main, whole, actions: list):
     )  # fmt: skip
 
 
-def _shards(entities: Mapping[str, Any]) -> list:
-    return [entity for name, entity in entities.items() if name.startswith("data/")]
-
-
-def _action(crate: ROCrate, artefact: Artefact, entities: Mapping[str, Any]):
-    """The job that wrote an artefact."""
-    record = artefact.record
-    tool = _tool(crate, record["stage"], record)
-    is_release = artefact.path == "."
-    result = _shards(entities) if is_release else [entities[artefact.path]]
+def _action(
+    crate: ROCrate, name: str, record: Mapping[str, Any], result: list, entities: Mapping[str, Any]
+):
+    """The job that wrote a result, by its record."""
     return crate.add_action(
-        tool,
-        "#job/release" if is_release else f"#job/{artefact.path}",
+        _tool(crate, record),
+        f"#job/{name}",
         object=[entities[path] for path in record["inputs"] if path in entities],
         result=result,
         properties={
@@ -252,8 +246,9 @@ def _action(crate: ROCrate, artefact: Artefact, entities: Mapping[str, Any]):
     )
 
 
-def _tool(crate: ROCrate, stage: str, record: Mapping[str, Any]):
+def _tool(crate: ROCrate, record: Mapping[str, Any]):
     """The stage as software, one entity for each state of its code."""
+    stage = record["stage"]
     identity = f"#stage/{stage}/{record['code_digest'][:12]}"
     return crate.get(identity) or _entity(
         crate, identity, "SoftwareApplication",
