@@ -298,17 +298,17 @@ def _lineage(results: Path, shards: Iterable[str]) -> dict[str, dict[str, str]]:
     return found if rendered <= set(found) else {}
 
 
-def _copy(source: Path, to: Path, published: bool = True) -> None:
+def _copy(source: Path, to: Path, published: bool) -> None:
     """Copy a file, tables more compactly, and its record; of other weights the record alone."""
-    record = source.with_name(source.name + SIDECAR_SUFFIX)
-    to.parent.mkdir(parents=True, exist_ok=True)
-    if source.name == "calibration.json" and source.is_file():
+    if source.name == "calibration.json":
         write_json(to, _without_runs(read_json(source)))
         return
-    if source.suffix == ".parquet" and source.name != MANIFEST and source.is_file():
+    to.parent.mkdir(parents=True, exist_ok=True)
+    if source.suffix == ".parquet" and source.name != MANIFEST:
         pq.write_table(read_parquet(source), to, compression="zstd", use_dictionary=False)
-    elif published and source.is_file():
+    elif published:
         shutil.copyfile(source, to)
+    record = source.with_name(source.name + SIDECAR_SUFFIX)
     # The record of a model's card and curve is that of its weights.
     if record.is_file() and (source.suffix == WEIGHTS or "models" not in to.parts):
         shutil.copyfile(record, to.with_name(record.name))
