@@ -18,7 +18,7 @@ from slipstitch.base.page.figures import new_figure, styled, svg_uri
 from slipstitch.base.page.palette import BLUE, PALE_BLUE
 from slipstitch.base.page.wording import NONE, duration
 from slipstitch.report.results import Results, Table
-from slipstitch.report.status import end_of_file, failures, read_runs
+from slipstitch.report.status import Run, end_of_file, failures
 
 STAGES = (
     "calibrate", "simulate", "convergence", "render", "sample", "train", "instrument", "evaluate",
@@ -120,10 +120,10 @@ def cost_section(benchmarks: Sequence[Benchmark]) -> dict[str, Any] | None:
     }
 
 
-def failure_table(folder: Path) -> Table:
+def failure_table(folder: Path, runs: Sequence[Run]) -> Table:
     """Every failed attempt at a job."""
     rows = []
-    for event, then in failures(folder, read_runs(folder)):
+    for event, then in failures(folder, runs):
         when = datetime.fromtimestamp(event.time, UTC).strftime("%Y-%m-%d %H:%M")
         made = ", ".join(event.output[:2]) + (" ..." if len(event.output) > 2 else "")
         rows.append([when, event.rule, made, ", ".join(event.log), then])

@@ -37,11 +37,11 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
         results.json("evaluate", "metrics.json"), results.json("evaluate", "details.json")
     )
     predictions, histories = results.predictions(), results.histories()
-    record = provenance_record("report")
+    runs = read_runs(results.folder)
     whole = yaml.safe_dump(config.model_dump(mode="json"), sort_keys=False, width=100)
     return {
         "made": now.strftime("%-d %B %Y, %H:%M UTC"),
-        "record": record,
+        "record": provenance_record("report"),
         "config": config,
         "config_file": data_uri(whole, "application/yaml"),
         "shards": films(config),
@@ -67,8 +67,8 @@ def page_context(results: Results, now: datetime) -> dict[str, Any]:
         "audit": results.json("audit", "audit.json"),
         "release_preview": results.picture("release", "previews", "through_time.png"),
         "cost": cost_section(benchmarks(results.folder)),
-        "runs": len(read_runs(results.folder)),
-        "failures": failure_table(results.folder),
+        "runs": len(runs),
+        "failures": failure_table(results.folder, runs),
         "provenance": provenance(results),
     }
 
