@@ -96,7 +96,7 @@ def benchmarks(folder: Path, job_classes: bool = False) -> list[Benchmark]:
     found = []
     for (_, name), jobs in sorted(classes.items()):
         of = pandas.DataFrame(jobs)
-        sums, medians = of.sum(min_count=1).map(float), of.median().map(float)
+        sums, medians = of.sum(min_count=1), of.median()
         times_s = sums.wall_s, sums.cpu_s, medians.wall_s, medians.cpu_s
         memory = None if math.isnan(most := of.memory_mib.max()) else float(most)
         found.append(Benchmark(name, len(jobs), *times_s, memory))
