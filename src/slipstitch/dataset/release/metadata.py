@@ -32,10 +32,8 @@ from slipstitch.dataset.release.shards import FOLDER
 VIDEOS, FRAMES = "videos", "frames"
 _SHARDS = "shards"
 
-_KINDS = {
-    pa.string(): mlc.DataType.TEXT,
+_KINDS = {  # the others are texts
     pa.float64(): mlc.DataType.FLOAT,
-    pa.float32(): mlc.DataType.FLOAT,
     pa.int64(): mlc.DataType.INTEGER,
     pa.int32(): mlc.DataType.INTEGER,
     pa.bool_(): mlc.DataType.BOOL,
