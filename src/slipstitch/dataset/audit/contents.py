@@ -82,10 +82,6 @@ class Contents:
                     settings[path] = calibrated_settings(self.folder / records.carried_file(path))
         return settings
 
-    def as_listed(self, name: str) -> bool:
-        """Whether a file has the digest that ``SHA256SUMS`` names: then nobody damaged it."""
-        return file_digest(self.folder / name) == self.sums.get(name)
-
     @property
     def name(self) -> str:
         """Name and version."""
@@ -178,14 +174,16 @@ def read_contents(folder: Path) -> Contents:
 
 def _read(contents: Contents, name: str, read) -> None:
     """Call `read`; what goes wrong becomes a finding."""
+    path = contents.folder / name
     try:
-        read(contents, contents.folder / name)
+        read(contents, path)
     except BadInput as error:
-        if isinstance(error, admission.Harmful) and contents.as_listed(name):
+        # With the digest that is listed it was made so, and not damaged since.
+        if isinstance(error, admission.Harmful) and file_digest(path) == contents.sums[name]:
             raise
         contents.broken(name, str(error).removeprefix(f"{contents.folder}/"))
     except RecursionError:
-        raise BadInput(f"{contents.folder / name}: nested too deeply; not read") from None
+        raise BadInput(f"{path}: nested too deeply; not read") from None
     except admission.UNUSABLE as error:
         contents.broken(name, f"cannot be read: {first_line(error)}")
 
