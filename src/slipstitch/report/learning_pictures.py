@@ -28,21 +28,20 @@ def predicted_against_true(
     """
     if not rows:
         return None
-    rows = evenly(rows, MOST_MARKS)
-    ends = [row[key] for row in rows for key in ("true_value", "predicted_value")]
-    low, high = min(ends), max(ends)
+    marks = pandas.DataFrame(evenly(rows, MOST_MARKS))
+    ends = marks[["true_value", "predicted_value"]].to_numpy(float)
+    low, high = ends.min(), ends.max()
     margin = max(0.08 * (high - low), 0.02)
     line = np.array([low - margin, high + margin])
     figure = new_figure(5.2, 3.7)
     axes = figure.subplots()
     axes.fill_between(line, line - 0.1, line + 0.1, color=palette.INTERVAL, lw=0)
     axes.plot(line, line, color=palette.THEORY, lw=0.9)
-    names = sorted({row["simulation"].split("_")[0] for row in rows})
-    for number, name in enumerate(names):
-        own = pandas.DataFrame([row for row in rows if row["simulation"].split("_")[0] == name])
+    fabrics = marks.groupby(marks["simulation"].str.partition("_")[0])
+    for number, (name, own) in enumerate(fabrics):
         # Fabrics side by side, and the videos of each in order: marks of one class do not hide.
         spread = (np.arange(len(own)) / max(len(own) - 1, 1) - 0.5) * 0.7 + number
-        place = own["true_value"].to_numpy(float) + margin * ((spread + 0.5) / len(names) - 0.5)
+        place = own["true_value"].to_numpy(float) + margin * ((spread + 0.5) / len(fabrics) - 0.5)
         colour = palette.SERIES[number % len(palette.SERIES)]
         limits = own[["low", "high"]].to_numpy(float)
         for x, interval in zip(place, limits, strict=True):
@@ -50,7 +49,7 @@ def predicted_against_true(
         label = materials.get(name, name)
         axes.plot(place, own["predicted_value"], "o", color=colour, ms=3.6, mew=0, label=label)
     axes.set(xlim=line, ylim=line, xlabel="true µ", ylabel="predicted µ")
-    if len(names) > 1:
+    if len(fabrics) > 1:
         legend_above(figure, dict(zip(*reversed(axes.get_legend_handles_labels()), strict=True)), 3)
     return figure
 
