@@ -100,11 +100,11 @@ def config_changes(
     from it was told to use these instead of those of `config`.
     """
     recorded = artefact.record.get("config", {})
-    now, told = (config.model_dump(mode="json") for _ in range(2))
+    now = config.model_dump(mode="json")
     for path in artefact.inputs:
-        told["simulation"] |= calibrated.get(path, {})
+        now["simulation"] |= calibrated.get(path, {})
     # With the other sections: fewer frames than the default samples would be refused alone.
-    now["simulation"] = resolve_config(told).simulation.model_dump(mode="json")
+    now["simulation"] = resolve_config(now).simulation.model_dump(mode="json")
     changes: list[str] = []
     for section, value in recorded.items():
         if section in now and isinstance(value, Mapping) == isinstance(now[section], Mapping):
