@@ -403,6 +403,17 @@ def test_release_takes_the_friction_law_along_and_the_audit_follows_it(
     assert Path(law) == release / "records" / carried
 
 
+def test_odd_content_of_a_record_or_a_calibration_is_a_finding_and_stops_no_audit(forger, release):
+    (of_render,) = forger.edit_records(RENDER, lambda one: one["metadata"].update(pose=[1]))
+    calibration = "records/calibrate/calibration.json"
+    forger.edit_json(calibration, lambda one: one["settings"].update(gone=1))
+    assert {of_render, calibration} <= set(found(release, Kind.ALTERED))
+    forger.reseal()
+    broken = audit_release(release).of_kind(Kind.BROKEN)
+    told = [one for one in broken if "settings of its calibration: simulation.gone" in one.what]
+    assert len(told) == len(simulations(CONFIG))
+
+
 def test_changed_entry_of_a_catalogue_makes_stale_not_damaged(original, monkeypatch):
     fabrics = {name: load_fabric(name) for name in fabric_names()}
     fabrics["ivory-rib-knit"] = fabrics["ivory-rib-knit"].scaled(1.1, 1.0, 1.0)

@@ -17,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from slipstitch.base.errors import BadInput
+from slipstitch.base.errors import BadInput, first_line
 from slipstitch.base.project import installed_version
 from slipstitch.base.provenance import file_digest
 from slipstitch.base.provenance.code import PACKAGE, RESULT_PACKAGES
@@ -59,7 +59,7 @@ def check_lineage(contents: Contents, shards: Mapping[str, Shard]) -> None:
     if (config := contents.config) is None:
         return
     for artefact in contents.made():
-        if changes := currency.config_changes(artefact, config, contents.calibrated):
+        if changes := _config_changes(contents, artefact, config):
             what = f"made with a configuration that differs from records/config.json: {changes[0]}"
             contents.broken(
                 records.record_file(artefact.path), what, contents.clips_of(artefact.path)
@@ -78,6 +78,14 @@ def check_lineage(contents: Contents, shards: Mapping[str, Shard]) -> None:
     _check_recomputed(contents, config, stale)
     _check_times(contents, config, shards)
     _check_rendered(contents)
+
+
+def _config_changes(contents: Contents, artefact: records.Artefact, config: Config) -> list[str]:
+    """As `currency.config_changes`; also where a calibration has settings that there are not."""
+    try:
+        return currency.config_changes(artefact, config, contents.calibrated)
+    except BadInput as problem:
+        return [f"settings of its calibration: {first_line(problem)}"]
 
 
 def _check_links(contents: Contents) -> None:
@@ -216,7 +224,9 @@ def _check_rendered(contents: Contents) -> None:
     for row in contents.rows:
         for record in contents.of_stage(row, "render"):
             pose, floor = record.metadata.get("pose"), record.metadata.get("surroundings")
-            told = {f"pose_{name}": value for name, value in (pose or {}).items()}
+            told: dict[str, Any] = {}
+            if isinstance(pose, Mapping):
+                told |= {f"pose_{name}": value for name, value in pose.items()}
             if isinstance(floor, Mapping):
                 told["floor"] = floor.get("floor")
                 told |= {f"floor_{name}": floor.get(name) for name in ("reflectance", "roughness")}
@@ -235,7 +245,7 @@ def check_staleness(contents: Contents, config: Config | None) -> None:
         reasons += [
             f"the catalogue has changed: {one}" for one in currency.catalogue_changes(artefact)
         ]
-        changes = currency.config_changes(artefact, config, contents.calibrated) if config else []
+        changes = _config_changes(contents, artefact, config) if config else []
         reasons += [f"its configuration has changed: {one}" for one in changes]
         for reason in reasons:
             touched[artefact.stage, reason].update(contents.clips_of(artefact.path))
