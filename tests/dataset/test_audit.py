@@ -575,6 +575,18 @@ def test_story_says_where_the_chain_breaks_and_the_digest_of_other_pixels(forger
     assert f"NOT equal to the decoded pixels ({decoded})" in story
 
 
+def test_story_is_told_of_odd_records_and_sources_too(forger, release):
+    forger.edit_records(RENDER, lambda one: one["provenance"].update(git_commit=3))
+    forger.edit_json(
+        "records/calibrate/calibration.json",
+        lambda one: [check.pop("met") for check in one["checks"]],
+    )
+    forger.edit_json(FABRICS, lambda one: one["fabrics"].update({"gray-interlock": [1]}))
+    story = auditing.explain(read_contents(release), CLIP)
+    for part in ("commit 3", "checks: unreadable", "fabric gray-interlock: not in the release's"):
+        assert part in story
+
+
 def test_comparison_of_a_rebuilt_clip_says_by_how_much_it_differs():
     first = np.zeros((3, 8, 8, 3), np.uint8)
     second = first.copy()

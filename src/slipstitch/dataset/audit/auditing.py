@@ -93,7 +93,7 @@ def _artefact(contents: Contents, artefact: records.Artefact, row: Mapping) -> l
         return [*lines, "  external input: not made by a stage"]
     now = current_digest(artefact.stage)
     code = "the current code" if now == record["code_digest"] else "NOT the current code"
-    commit = record.get("git_commit") or "unknown commit"
+    commit = str(record.get("git_commit") or "unknown commit")
     changed = ", with uncommitted changes" if record.get("git_dirty") else ""
     lines += [
         f"  made by  slipstitch {artefact.stage}, code {record['code_digest'][:16]} ({code}), "
@@ -125,13 +125,13 @@ def _checks(contents: Contents, artefact: records.Artefact) -> str:
         path = contents.folder / records.carried_file(artefact.path)
         checks = json.loads(path.read_text(encoding="utf-8"))["checks"]
         worst = max(checks, key=lambda check: check["error"] / (check["demand"] or 1.0))
+        return (
+            f"{sum(check['met'] for check in checks)} of {len(checks)} checks against theory met; "
+            f"the closest to its limit: {worst['name']}, error {worst['error']:.2e} of "
+            f"{worst['demand']:.2e} allowed"
+        )
     except (OSError, ValueError, KeyError, TypeError):
         return "checks: unreadable"
-    return (
-        f"{sum(check['met'] for check in checks)} of {len(checks)} checks against theory met; "
-        f"the closest to its limit: {worst['name']}, error {worst['error']:.2e} of "
-        f"{worst['demand']:.2e} allowed"
-    )
 
 
 def _short(value: Any) -> str:
@@ -145,14 +145,14 @@ def _fabric(contents: Contents, row: Mapping[str, Any]) -> list[str]:
     carried = f"code/src/slipstitch/config/{FABRICS_FILE.name}"
     try:
         then = json.loads((contents.folder / carried).read_text(encoding="utf-8"))["fabrics"][name]
+        density = then["areal_density_kg_m2"]
     except (OSError, ValueError, KeyError, TypeError):
         return [f"fabric {name}: not in the release's sources"]
     now = json.loads(FABRICS_FILE.read_text(encoding="utf-8"))["fabrics"].get(name)
     same = "same as the current one" if now == then else "DIFFERENT from the current one"
     return [
         f"fabric {name} ({same})",
-        f"  areal density {then['areal_density_kg_m2']} kg/m2; stretching and bending tables in "
-        f"{carried}",
+        f"  areal density {density} kg/m2; stretching and bending tables in {carried}",
     ]
 
 
