@@ -201,6 +201,8 @@ CHANGED = [
      "broken chain", DETAILS, "not the file that its record"),
     (copied(SHIPPED / "instrument.json", f"{MODELS}/seed0/instrument.json"), True,
      "broken chain", WEIGHTS, "not the weights that their card describes"),
+    (rewritten(RECORD, lambda one: one.update(sha256=[1])), True,
+     "broken chain", WEIGHTS, "not the weights that their card describes"),
     (_swap_model, True,
      "broken chain", "metrics.json", "another instrument.safetensors than the"),
     (_swap_model, True,
@@ -227,6 +229,11 @@ def test_what_was_changed_is_named(folder, change, renewed, kind, where, what):
     assert told["verdict"] == "damaged"
     found = [(one["kind"], one["where"], one["what"]) for one in told["findings"]]
     assert any(k == kind and w.endswith(where) and what in why for k, w, why in found), found
+
+
+def test_an_index_whose_list_of_what_is_missing_is_none_stops_no_audit(folder):
+    rewritten(INDEX, lambda one: one.update(missing=5))(folder)
+    assert audited(listed(folder), 0)["verdict"] == "intact"
 
 
 def test_an_index_that_is_none_and_options_of_a_release_are_refused_in_one_line(folder, capsys):

@@ -59,7 +59,8 @@ class PublishedAudit:
         index = _mapping(read_json(folder / INDEX))
         self.name = str(index.get("name"))
         self.listed = _mapping(index.get("files"))
-        self.missing = index.get("missing") or []
+        missing = index.get("missing")
+        self.missing = missing if isinstance(missing, list) else []
         paths = sorted(path for path in folder.rglob("*") if path.is_file())
         names = {path.relative_to(folder).as_posix() for path in paths}
         self.others = sorted(names - set(self.listed) - {INDEX, INDEX + SIDECAR_SUFFIX})
@@ -177,7 +178,7 @@ class PublishedAudit:
             record = self.records.get(name, {})
             if not record.get("inputs"):
                 self.find(Kind.BROKEN, name, "has no record of what it was trained on")
-            if {self.digests.get(name, digest), record.get("sha256", digest)} != {digest}:
+            if not self.digests.get(name, digest) == record.get("sha256", digest) == digest:
                 self.find(Kind.BROKEN, name, "not the weights that their card describes")
 
     @cached_property
