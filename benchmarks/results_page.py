@@ -631,8 +631,8 @@ SECTIONS = {
         "Campaigns of forward models of their own, of known truth, at seeds that no constant was "
         "chosen on (`benchmarks/criticise.py`). λ says how clearly the planted effect shows (its "
         "noncentrality), separation how clearly it differs from its closest rival. With faults: "
-        "zeros, delays, tails, gaps, noise above what is stated; λ is what the data tell beside "
-        "them, as no sensor is known to be right. In brackets: Wilson's 95 % interval.",
+        "zeros, delays, tails, gaps, noise above what is stated. In brackets: Wilson's 95 % "
+        "interval.",
         simulated_campaigns,
     ),
 }
