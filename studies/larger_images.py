@@ -17,9 +17,10 @@ import numpy as np
 
 from slipstitch.base.provenance import provenance_record, read_provenance, start_clock, write_json
 from slipstitch.config import load_config
-from slipstitch.dataset.manifest import MANIFEST
+from slipstitch.dataset.manifest import MANIFEST, read_manifest
 from slipstitch.dataset.videos import read_videos
 from slipstitch.design.trainable import view_order
+from slipstitch.learning.evaluation.test_sets import evaluation_sets
 from slipstitch.learning.lrcn import CARD, LRCN, WEIGHTS, load_model
 from slipstitch.learning.lrcn_training import train_network
 from slipstitch.learning.trainer import Phase, Run
@@ -27,15 +28,12 @@ from slipstitch.learning.trainer import Phase, Run
 PHASES = {"full rate": 4, "falling rate": 6}  # epochs
 
 
-def right_by_friction(folder, dataset, views, textures):
+def right_by_friction(folder, dataset):
     """Return of the test videos the share whose fabric is right, over all and by coefficient."""
     model = load_model(folder)
-
-    def tests(row):
-        known = row["viewpoint"] in views and row["texture"] in textures
-        return row[f"split_{model.card['split']}"] == "test" and known
-
-    videos = read_videos(dataset, tests, model.card["pixels"], model.card["frames"])
+    tests = {test.name: test for test in evaluation_sets(read_manifest(dataset)[0])}
+    of_split = tests[model.card["split"]].holds
+    videos = read_videos(dataset, of_split, model.card["pixels"], model.card["frames"])
     names = [one["name"] for one in model.card["classes"]]
     told = model.probabilities(videos).argmax(1)
     right = np.take(names, told) == np.array([row["material"] for row in videos.rows])
@@ -58,8 +56,7 @@ def main():
     begun = load_model(chosen.network)
     card, weights = begun.card, begun.network.state_dict()
     phases = [Phase(name, views, epochs) for name, epochs in PHASES.items()]
-    seen = chosen.dataset, views, config.render.textures
-    result = {"pixels": card["pixels"], "before": right_by_friction(chosen.network, *seen)}
+    result = {"pixels": card["pixels"], "before": right_by_friction(chosen.network, chosen.dataset)}
     result |= {"epochs": PHASES, "trained_on": {}}
     read = [chosen.dataset / MANIFEST]
     read += [chosen.network / name for name in (WEIGHTS, CARD)]
@@ -72,7 +69,8 @@ def main():
                 train_network(settings, run, "material_baseline", views, phases=phases)
         files = [folder / name for name in (WEIGHTS, CARD)]
         cpu_s = read_provenance(files[0])["cpu_s"]
-        result["trained_on"][pixels] = right_by_friction(folder, *seen) | {"cpu_s": cpu_s}
+        scores = right_by_friction(folder, chosen.dataset)
+        result["trained_on"][pixels] = scores | {"cpu_s": cpu_s}
         read += files
         record = provenance_record("train", inputs=read, started=started)
         write_json(chosen.out_dir / "larger_images.json", result, record)
