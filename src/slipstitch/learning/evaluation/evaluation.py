@@ -216,10 +216,8 @@ def write_evaluation(
             return network.startswith((PROBE, SHIPPED)) or trained.counts(*place_of(row))
 
         table.add(_written(predictions_file, details_file, rescaled), stays)
-    scored, probed = (
-        {row["split"] for row in table.rows if row["network"].startswith(PROBE) == of_probes}
-        for of_probes in (False, True)
-    )
+    scored = {row["split"] for row in table.rows if not row["network"].startswith(PROBE)}
+    probed = {row["split"] for row in table.rows if row["network"].startswith(PROBE)}
     unprobed = scored.intersection(probed_splits(rows)) - probed
     if unprobed:
         table.add(probe_table(dataset), lambda row: row["split"] in unprobed)
