@@ -27,6 +27,7 @@ rule instrument:
 rule instrument_one:
     input:
         unless_refused(check_instrument_can_train, rules.sample.input),
+        [f"{folder}/instrument.safetensors" for folder in [CONFIG.instrument.starts_from] if folder],
     output:
         weights="results/instrument/{split}/seed{seed}/instrument.safetensors",
         card="results/instrument/{split}/seed{seed}/instrument.json",

@@ -11,11 +11,12 @@ from support.models import held_out
 from support.refusal import run
 
 from slipstitch.base.errors import BadInput
+from slipstitch.base.provenance import read_sidecar
 from slipstitch.config import write_config
 from slipstitch.config.train import InstrumentSettings
 from slipstitch.design.grid import sampled_frames
 from slipstitch.learning.instrument.augmentation import disordered, phase_frames
-from slipstitch.learning.instrument.measuring import load_instrument
+from slipstitch.learning.instrument.measuring import WEIGHTS, load_instrument
 from slipstitch.learning.instrument.network import (
     KEYPOINT_ERROR_M,
     InstrumentNetwork,
@@ -26,6 +27,7 @@ from slipstitch.learning.instrument.network import (
 from slipstitch.learning.instrument.training import (
     chance_score,
     losses,
+    started,
     train_instrument,
     training_views,
 )
@@ -114,6 +116,33 @@ def test_the_learning_curve_falls_and_is_kept(folder):
     assert card["train_loss"] == float(rows[-1]["train_loss"])
     assert card["training_simulations"] == 18
     assert card["calibration_simulations"] == 12
+
+
+def test_a_training_goes_on_from_another_instruments_weights(dataset, folder, tmp_path):
+    card = train(dataset, tmp_path, starts_from=str(folder), epochs=1, learning_rate=2e-4)
+    assert card["started_from"] == load_instrument(folder).card["weights_sha256"]
+    assert card["started_from"] in read_sidecar(tmp_path / WEIGHTS)["inputs"].values()
+    begun, finished = (
+        float(list(csv.DictReader((one / "history.csv").open()))[-1]["validation_loss"])
+        for one in (tmp_path, folder)
+    )
+    assert begun < 1.5 * finished < 0.5 * card["chance_loss"]
+
+
+def test_weights_of_other_fabrics_are_a_start_but_for_the_layer_that_tells_them(folder):
+    before = load_instrument(folder)
+    network = InstrumentNetwork(SETTINGS, len(before.card["materials"]) + 1, 24)
+    drawn = network.material.weight.clone()
+    settings = SETTINGS.model_copy(update={"starts_from": str(folder)})
+    started(network, settings, [*before.card["materials"], "another"], 0)
+    assert torch.equal(network.material.weight, drawn)
+    begun, learnt = (one.recurrent.weight_ih_l0 for one in (network, before.networks[0]))
+    assert torch.equal(begun, learnt)
+
+
+def test_weights_of_other_sizes_are_no_start(dataset, folder, tmp_path):
+    with pytest.raises(BadInput, match="its network has other sizes than the settings"):
+        train(dataset, tmp_path, starts_from=str(folder), features=16)
 
 
 @pytest.mark.parametrize(

@@ -93,6 +93,9 @@ class InstrumentSettings(RecordedSection):
     calibration_datasets: list[str] = []
     """datasets of other runs (their results/sample), of which all videos stretch the intervals of
     the average of several seeds too; nothing of them may have trained it"""
+    starts_from: str | None = None
+    """folder of an instrument of the same sizes, from whose weights the training goes on, those of
+    its network number seed; of other fabrics too; null: from weights that are drawn"""
     viewpoints: list[str] | None = Field(None, min_length=1)
     """training viewpoints, all rectified to the calibrated view: the calibrated one and members of
     the family bench_1 ...; null: the first of render.viewpoints"""

@@ -64,7 +64,7 @@ from slipstitch.learning.torch_setup import set_up_torch
 _COMMON = (
     *("materials", "frames", "pixels", "viewpoints", "pose_range", "split", "frictions"),
     *("interpolated_videos", "calibration_simulations", "bfloat16", "settings", "dataset_digest"),
-    *("training_videos", "training_simulations", "epochs", "chance_loss", "use"),
+    *("training_videos", "training_simulations", "epochs", "chance_loss", "use", "started_from"),
 )
 _SUMMED = ("parameters", "multiply_accumulates_per_frame")
 

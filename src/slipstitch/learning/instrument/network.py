@@ -19,7 +19,6 @@ from torch import Tensor, nn
 
 from slipstitch.base.errors import BadInput
 from slipstitch.config.train import InstrumentSettings
-from slipstitch.dataset.videos import Videos
 from slipstitch.images.camera import KEYPOINTS_UV, POSE
 from slipstitch.learning.instrument.distribution import friction_grid
 
@@ -178,6 +177,10 @@ class InstrumentNetwork(nn.Module):
         """Places in metres of points in the network's unit, as `forward` returns them."""
         return self.points_mean_m + self.points_spread_m * points
 
+    def in_unit(self, points_m: Tensor) -> Tensor:
+        """Places in the network's unit of points in metres."""
+        return (points_m - self.points_mean_m) / self.points_spread_m
+
     def of_keypoints(self, points: Tensor) -> dict[str, Tensor]:
         """Answers from places (videos, frames, points, 3), of a network that goes through them."""
         assert self.of_points is not None
@@ -206,15 +209,13 @@ KEYPOINT_SPREAD_MIN_M = 1e-3
 KEYPOINT_ERROR_M = 0.005
 
 
-def keypoints_in_unit(network: InstrumentNetwork, videos: Videos, training: np.ndarray) -> Tensor:
-    """Places of the points in the network's unit, from videos that train, which it is given."""
-    points_m = torch.from_numpy(videos.points_m)
-    known_m = points_m[training].double()
+def set_unit_of_keypoints(network: InstrumentNetwork, points_m: Tensor) -> None:
+    """Give the network its unit of places, from those of videos that train, (n, ..., points, 3)."""
+    known_m = points_m.double()
     mean_m = known_m.mean((0, 1))
     spread_m = (known_m - mean_m).abs().mean((0, 1)).clamp(min=KEYPOINT_SPREAD_MIN_M)
     network.points_mean_m.copy_(mean_m)
     network.points_spread_m.copy_(spread_m)
-    return (points_m - network.points_mean_m) / network.points_spread_m
 
 
 def keypoint_errors(network: InstrumentNetwork, differences: Tensor) -> Tensor:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from itertools import compress
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,14 +32,15 @@ from slipstitch.learning.instrument.measuring import (
     WEIGHTS,
     Instrument,
     check_fits,
+    load_instrument,
     save_instrument,
 )
 from slipstitch.learning.instrument.network import (
     InstrumentNetwork,
     keypoint_errors,
-    keypoints_in_unit,
     next_frictions,
     noisy_keypoints,
+    set_unit_of_keypoints,
 )
 from slipstitch.learning.instrument.poses import pose_range, poses_of, scaled
 from slipstitch.learning.prediction import classes_of
@@ -260,11 +262,37 @@ class InstrumentTrainer(Trainer):
         )
 
 
+def started(
+    network: InstrumentNetwork, settings: InstrumentSettings, materials: list[str], seed: int
+) -> str | None:
+    """Give the network the weights that `settings.starts_from` names; return their file's SHA-256.
+
+    None where it starts from drawn weights. Of other fabrics, the layer that tells them keeps those
+    that were drawn. BadInput if the instrument's network has other sizes.
+    """
+    if settings.starts_from is None:
+        return None
+    before = load_instrument(settings.starts_from)
+    weights = before.networks[seed % len(before.networks)].state_dict()
+    if before.card["materials"] != materials:
+        drawn = network.state_dict().items()
+        weights |= {name: one for name, one in drawn if name.startswith("material.")}
+    try:
+        network.load_state_dict(weights)
+    except RuntimeError:
+        raise BadInput(
+            f"instrument.starts_from: {settings.starts_from}: its network has other sizes than the "
+            "settings instrument.channels, features, pixels, knows_pose, points_weight and "
+            "through_points give"
+        ) from None
+    return str(before.card["weights_sha256"])
+
+
 def train_instrument(
     settings: InstrumentSettings, run: Run, viewpoints: Sequence[str]
 ) -> dict[str, Any]:
     """Train, calibrate by the validation videos, and write an instrument; return its card."""
-    started = start_clock()
+    began = start_clock()
     set_up_torch(run.threads)
     videos, training = _training_videos(settings, run, viewpoints)
     frames = run.frames or videos.pixels.shape[1]
@@ -272,9 +300,15 @@ def train_instrument(
     numbers = {entry["id"]: number for number, entry in enumerate(materials)}
     torch.manual_seed(run.seed)
     network = InstrumentNetwork(settings, len(materials), videos.pixels.shape[2])
+    started_from = started(network, settings, [entry["name"] for entry in materials], run.seed)
     labels = torch.tensor([numbers.get(row["material_id"], UNKNOWN) for row in videos.rows])
-    points = keypoints_in_unit(network, videos, training) if settings.points_weight else None
-    of_training = settings, run, videos, training, started
+    points = None
+    if settings.points_weight:
+        points_m = torch.from_numpy(videos.points_m)
+        if started_from is None:
+            set_unit_of_keypoints(network, points_m[training])
+        points = network.in_unit(points_m)
+    of_training = settings, run, videos, training, began, {"started_from": started_from}
     trainer = InstrumentTrainer(network, frames, labels, points, viewpoints, *of_training)
     trainer.train()
     card = {
@@ -288,6 +322,7 @@ def train_instrument(
         "frictions": sorted(
             {row["friction"] for row in videos.rows if not row.get("interpolated")}
         ),
+        "started_from": started_from,
         "interpolated_videos": sum(bool(row.get("interpolated")) for row in videos.rows),
         "calibration_simulations": len(simulations(videos, ~training)),
         **trainer.facts(trainer.progress.history),
@@ -296,5 +331,6 @@ def train_instrument(
     }
     instrument = calibrated(Instrument((network,), card, None), videos, training)
     card = save_instrument(instrument, run.out)
-    trainer.write_record((WEIGHTS, CARD))
+    others = [Path(settings.starts_from) / WEIGHTS] if settings.starts_from else []
+    trainer.write_record((WEIGHTS, CARD), others)
     return card
