@@ -27,7 +27,11 @@ rule instrument:
 rule instrument_one:
     input:
         unless_refused(check_instrument_can_train, rules.sample.input),
-        [f"{folder}/instrument.safetensors" for folder in [CONFIG.instrument.starts_from] if folder],
+        # Weights from which the training goes on.
+        expand(
+            "{folder}/instrument.safetensors",
+            folder=[CONFIG.instrument.starts_from] if CONFIG.instrument.starts_from else [],
+        ),
     output:
         weights="results/instrument/{split}/seed{seed}/instrument.safetensors",
         card="results/instrument/{split}/seed{seed}/instrument.json",

@@ -100,6 +100,15 @@ def test_a_dataset_that_also_calibrates_is_made_before(workflow, tmp_path):
     assert planned(workflow, "instrument", override)["instrument_ensemble"] == 1
 
 
+def test_an_instrument_whose_weights_are_gone_on_from_is_there_before(workflow, tmp_path):
+    override = f"instrument={{starts_from: {tmp_path}}}"
+    answer = workflow.plan("-n", "--config", override, "--", "instrument")
+    assert answer.returncode == 2
+    assert f"instrument.starts_from: {tmp_path}: no instrument.safetensors" in answer.stderr
+    (tmp_path / "instrument.safetensors").touch()
+    assert planned(workflow, "instrument", override)["instrument_one"] == 1
+
+
 REPLICATE = ["grid={replicates: 1}", "sample={hold_out: replicate}"]
 # Target, overrides, and what is wrong with these.
 REFUSED = [

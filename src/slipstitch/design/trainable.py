@@ -61,8 +61,11 @@ def check_networks_can_train(config: Config) -> None:
 
 
 def check_instrument_can_train(config: Config) -> None:
-    """Refuse a grid whose friction coefficients the instrument cannot learn."""
+    """Refuse a grid that the instrument cannot learn, or to start from weights that are missing."""
     instrument_views(config)
+    start = config.instrument.starts_from
+    if start and not Path(start, "instrument.safetensors").is_file():
+        raise BadInput(f"instrument.starts_from: {start}: no instrument.safetensors there")
     _enough(config, "frictions", "the instrument")
     for key in ("frictions", "test_frictions"):
         largest = max(getattr(config.grid, key), default=0.0)
