@@ -205,7 +205,21 @@ def paper_coefficients():
              f"{share['material_baseline']:.0%}"]
         )  # fmt: skip
     heads = "tail's move per 0.1 of μ, mm|μ right|nearest fabric, mm|fabric right"
-    return table(f"μ|{heads}", rows)
+    return f"{table(f'μ|{heads}', rows)}\n\n{larger_images()}"
+
+
+def larger_images():
+    """Return what a network of fabrics gains that is trained on, with larger images too."""
+    found = read("camera/larger_images.json")
+    told = ", ".join(
+        f"{pixels} pixels {one['right']:.1%} ({one['cpu_s'] / 60:.0f})"
+        for pixels, one in found["trained_on"].items()
+    )
+    return (
+        f"The fabric network of seed 0 ({found['before']['right']:.1%} right) trained on for "
+        f"{sum(found['epochs'].values())} epochs (CPU minutes): {told} "
+        "(`studies/larger_images.py`)."
+    )
 
 
 def scored(readings):
@@ -641,7 +655,7 @@ SECTIONS = {
 def results_page():
     """Return the text of docs/results.md."""
     text = "# Results\n\nMeasured numbers, from the files in `results/published`. "
-    text += "Written by `make results`; each file's record says how.\n"
+    text += "Written by `make results`; records say how.\n"
     count = seeds()
     for title, (words, make) in SECTIONS.items():
         words = words.replace("{seeds}", count)

@@ -94,8 +94,8 @@ class InstrumentSettings(RecordedSection):
     """datasets of other runs (their results/sample), of which all videos stretch the intervals of
     the average of several seeds too; nothing of them may have trained it"""
     starts_from: str | None = None
-    """folder of an instrument of the same sizes, from whose weights the training goes on, those of
-    its network number seed; of other fabrics too; null: from weights that are drawn"""
+    """folder of an instrument of the same sizes: the training goes on from the weights of its
+    network number seed; null: from drawn ones"""
     viewpoints: list[str] | None = Field(None, min_length=1)
     """training viewpoints, all rectified to the calibrated view: the calibrated one and members of
     the family bench_1 ...; null: the first of render.viewpoints"""
@@ -129,8 +129,7 @@ class InstrumentSettings(RecordedSection):
     precision: Literal["auto", "float32", "bfloat16"] = "auto"
     """of the convolutions; auto: bfloat16 where the processor supports it"""
     plateau_margin: float | None = Field(0.05, ge=0.0, lt=1.0)
-    """a run fails if its training loss stays above (1 - margin) times the loss of always predicting
-    the distribution of the training labels; null: never"""
+    """as train.plateau_margin; chance always predicts the distribution of the training labels"""
     checkpoint_interval_s: float = Field(60.0, ge=0.0)
     """minimum time between checkpoints; 0: after every step"""
     draws: int = Field(4, ge=1, le=64)
