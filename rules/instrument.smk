@@ -1,6 +1,10 @@
 """The measuring instrument: its network, error bars and alarm."""
 
-from slipstitch.design.trainable import check_calibration_datasets, check_instrument_can_train
+from slipstitch.design.trainable import (
+    check_calibration_datasets,
+    check_instrument_can_train,
+    check_starting_weights,
+)
 
 
 rule instrument:
@@ -27,10 +31,12 @@ rule instrument:
 rule instrument_one:
     input:
         unless_refused(check_instrument_can_train, rules.sample.input),
-        # Weights from which the training goes on.
-        expand(
-            "{folder}/instrument.safetensors",
-            folder=[CONFIG.instrument.starts_from] if CONFIG.instrument.starts_from else [],
+        start=unless_refused(
+            check_starting_weights,
+            expand(
+                "{folder}/instrument.safetensors",
+                folder=[one for one in [CONFIG.instrument.starts_from] if one is not None],
+            ),
         ),
     output:
         weights="results/instrument/{split}/seed{seed}/instrument.safetensors",

@@ -91,22 +91,24 @@ def test_a_target_has_its_jobs_and_no_others(workflow, target, overrides, jobs, 
     assert counts and not {*absent.split()} & set(counts)
 
 
-def test_a_dataset_that_also_calibrates_is_made_before(workflow, tmp_path):
-    override = f"instrument={{seeds: [0, 1], calibration_datasets: [{tmp_path}]}}"
-    answer = workflow.plan("-n", "--config", override, "--", "instrument")
-    assert answer.returncode == 2
-    assert f"instrument.calibration_datasets: {tmp_path}: no manifest.parquet" in answer.stderr
-    (tmp_path / "manifest.parquet").touch()
-    assert planned(workflow, "instrument", override)["instrument_ensemble"] == 1
+# What the instrument takes from elsewhere: settings, their key, the file, the rule that takes it.
+TAKEN = [
+    ("seeds: [0, 1], calibration_datasets: [{}]", "calibration_datasets", "manifest.parquet",
+     "instrument_ensemble"),
+    ("starts_from: {}", "starts_from", "instrument.safetensors", "instrument_one"),
+]  # fmt: skip
 
 
-def test_an_instrument_whose_weights_are_gone_on_from_is_there_before(workflow, tmp_path):
-    override = f"instrument={{starts_from: {tmp_path}}}"
+@pytest.mark.parametrize(("settings", "key", "file", "rule"), TAKEN)
+def test_what_an_instrument_takes_from_elsewhere_is_there_before(
+    workflow, tmp_path, settings, key, file, rule
+):
+    override = f"instrument={{{settings.format(tmp_path)}}}"
     answer = workflow.plan("-n", "--config", override, "--", "instrument")
     assert answer.returncode == 2
-    assert f"instrument.starts_from: {tmp_path}: no instrument.safetensors" in answer.stderr
-    (tmp_path / "instrument.safetensors").touch()
-    assert planned(workflow, "instrument", override)["instrument_one"] == 1
+    assert f"instrument.{key}: {tmp_path}: no {file}" in answer.stderr
+    (tmp_path / file).touch()
+    assert planned(workflow, "instrument", override)[rule] == 1
 
 
 REPLICATE = ["grid={replicates: 1}", "sample={hold_out: replicate}"]

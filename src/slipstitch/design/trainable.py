@@ -61,11 +61,8 @@ def check_networks_can_train(config: Config) -> None:
 
 
 def check_instrument_can_train(config: Config) -> None:
-    """Refuse a grid that the instrument cannot learn, or to start from weights that are missing."""
+    """Refuse a grid whose friction coefficients the instrument cannot learn."""
     instrument_views(config)
-    start = config.instrument.starts_from
-    if start and not Path(start, "instrument.safetensors").is_file():
-        raise BadInput(f"instrument.starts_from: {start}: no instrument.safetensors there")
     _enough(config, "frictions", "the instrument")
     for key in ("frictions", "test_frictions"):
         largest = max(getattr(config.grid, key), default=0.0)
@@ -78,12 +75,20 @@ def check_instrument_can_train(config: Config) -> None:
 
 def check_calibration_datasets(config: Config) -> None:
     """Refuse datasets of other runs that are not there: they are to be made before."""
+    remedy = "; make that run's dataset first (target sample)"
     for folder in config.instrument.calibration_datasets:
-        if not Path(folder, "manifest.parquet").is_file():
-            raise BadInput(
-                f"instrument.calibration_datasets: {folder}: no manifest.parquet there; make that "
-                "run's dataset first (target sample)"
-            )
+        _check_there("calibration_datasets", folder, "manifest.parquet", remedy)
+
+
+def check_starting_weights(config: Config) -> None:
+    """Refuse weights to start from that are not there."""
+    if config.instrument.starts_from is not None:
+        _check_there("starts_from", config.instrument.starts_from, "instrument.safetensors")
+
+
+def _check_there(key: str, folder: str, file: str, remedy: str = "") -> None:
+    if not Path(folder, file).is_file():
+        raise BadInput(f"instrument.{key}: {folder}: no {file} there{remedy}")
 
 
 def _enough(config: Config, key: str, learner: str) -> None:
