@@ -16,7 +16,7 @@ from slipstitch.config import write_config
 from slipstitch.config.train import InstrumentSettings
 from slipstitch.design.grid import sampled_frames
 from slipstitch.learning.instrument.augmentation import disordered, phase_frames
-from slipstitch.learning.instrument.measuring import WEIGHTS, load_instrument
+from slipstitch.learning.instrument.measuring import CARD, WEIGHTS, load_instrument
 from slipstitch.learning.instrument.network import (
     KEYPOINT_ERROR_M,
     InstrumentNetwork,
@@ -26,8 +26,8 @@ from slipstitch.learning.instrument.network import (
 )
 from slipstitch.learning.instrument.training import (
     chance_score,
+    load_start,
     losses,
-    started,
     train_instrument,
     training_views,
 )
@@ -134,7 +134,7 @@ def test_weights_of_other_fabrics_are_a_start_but_for_the_layer_that_tells_them(
     network = InstrumentNetwork(SETTINGS, len(before.card["materials"]) + 1, 24)
     drawn = network.material.weight.clone()
     settings = SETTINGS.model_copy(update={"starts_from": str(folder)})
-    started(network, settings, [*before.card["materials"], "another"], 0)
+    load_start(network, settings, [*before.card["materials"], "another"], 0)
     assert torch.equal(network.material.weight, drawn)
     begun, learnt = (one.recurrent.weight_ih_l0 for one in (network, before.networks[0]))
     assert torch.equal(begun, learnt)
@@ -143,6 +143,12 @@ def test_weights_of_other_fabrics_are_a_start_but_for_the_layer_that_tells_them(
 def test_weights_of_other_sizes_are_no_start(dataset, folder, tmp_path):
     with pytest.raises(BadInput, match="its network has other sizes than the settings"):
         train(dataset, tmp_path, starts_from=str(folder), features=16)
+
+
+def test_a_start_is_a_folder_and_else_refused_before_the_training(dataset, folder, tmp_path):
+    with pytest.raises(BadInput, match=r"instrument\.json"):
+        train(dataset, tmp_path, starts_from=str(folder / CARD))
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize(

@@ -210,7 +210,7 @@ KEYPOINT_ERROR_M = 0.005
 
 
 def set_unit_of_keypoints(network: InstrumentNetwork, points_m: Tensor) -> None:
-    """Give the network its unit of places, from those of videos that train, (n, ..., points, 3)."""
+    """Give the network its unit of places, from those that train, (n, frames, points, 3)."""
     known_m = points_m.double()
     mean_m = known_m.mean((0, 1))
     spread_m = (known_m - mean_m).abs().mean((0, 1)).clamp(min=KEYPOINT_SPREAD_MIN_M)

@@ -262,7 +262,7 @@ class InstrumentTrainer(Trainer):
         )
 
 
-def started(
+def load_start(
     network: InstrumentNetwork, settings: InstrumentSettings, materials: list[str], seed: int
 ) -> str | None:
     """Give the network the weights that `settings.starts_from` names; return their file's SHA-256.
@@ -272,7 +272,7 @@ def started(
     """
     if settings.starts_from is None:
         return None
-    before = load_instrument(settings.starts_from)
+    before = load_instrument(Path(settings.starts_from) / WEIGHTS)
     weights = before.networks[seed % len(before.networks)].state_dict()
     if before.card["materials"] != materials:
         drawn = network.state_dict().items()
@@ -292,7 +292,7 @@ def train_instrument(
     settings: InstrumentSettings, run: Run, viewpoints: Sequence[str]
 ) -> dict[str, Any]:
     """Train, calibrate by the validation videos, and write an instrument; return its card."""
-    began = start_clock()
+    started = start_clock()
     set_up_torch(run.threads)
     videos, training = _training_videos(settings, run, viewpoints)
     frames = run.frames or videos.pixels.shape[1]
@@ -300,7 +300,7 @@ def train_instrument(
     numbers = {entry["id"]: number for number, entry in enumerate(materials)}
     torch.manual_seed(run.seed)
     network = InstrumentNetwork(settings, len(materials), videos.pixels.shape[2])
-    started_from = started(network, settings, [entry["name"] for entry in materials], run.seed)
+    started_from = load_start(network, settings, [entry["name"] for entry in materials], run.seed)
     labels = torch.tensor([numbers.get(row["material_id"], UNKNOWN) for row in videos.rows])
     points = None
     if settings.points_weight:
@@ -308,7 +308,7 @@ def train_instrument(
         if started_from is None:
             set_unit_of_keypoints(network, points_m[training])
         points = network.in_unit(points_m)
-    of_training = settings, run, videos, training, began, {"started_from": started_from}
+    of_training = settings, run, videos, training, started, {"started_from": started_from}
     trainer = InstrumentTrainer(network, frames, labels, points, viewpoints, *of_training)
     trainer.train()
     card = {
